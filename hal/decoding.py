@@ -22,15 +22,19 @@ atexit.register(gc.freeze)
 T = TypeVar("T")
 
 MAX_SHOWN: Final = 60
-_QUOTES: Final = "“”„‟‘’‚‛«»″′"
+_QUOTES: Final = "“”„‟‘’‚‛«»″′`´＂"
 _HINTS: Final[tuple[tuple[str, str], ...]] = (
     (f"[{_QUOTES}]", 'write straight quotes, "…"'),
     (r"[\u00a0\u2007\u202f\u200b\ufeff]", "remove a space of another kind, which other programs bring along"),
-    (r"[=\[,]\s*[-+]?\d+,\d+\s*(#.*)?$", "write a decimal point, such as 20.0"),
-    (r'"[^"]*\\', "write / in paths instead of \\, or put the text between ' and '"),
+    (r"=\s*([-+]?\d+),(\d+)\s*([,}#]|$)", r"write a decimal point, \1.\2"),
+    (r"=\s*[-+]?\d+[.'\u2019]\d+,\d+", "write a decimal point, and no sign between thousands"),
+    (r"[\[,]\s*([-+]?\d+),(\d+)\s*(#.*)?$", r"write a decimal point, \1.\2"),
+    (r'"[^"]*\\', r"write / in paths instead of \\, or put the text between ' and '"),
     (r"^\s*(//|;|--)", "begin remarks with #"),
     (r"^\s*[\w-]+\s*:", 'write = between a key and its value, such as name = "bench"'),
     (r"=\s*[-+]?[\d.]+\s*[A-Za-zµ°%]", "write numbers without a unit"),
+    (r"=\s*[−–—]\s*[\d.]", "write a minus as -"),
+    (r"=\s*[-+]?[\d.]+\s*(;|,|//)", "end the line after the value, or begin remarks with #"),
     (r"=\s*(True|False|TRUE|FALSE|yes|no|on|off)\b", "write true or false"),
     (r"=\s*[-+]?(\.\d|\d+\.(\D|$)|0\d)", "write digits on both sides of the point, and no 0 in front of others"),
     (r"=\s*[^\W\d][^\"']*$", 'put texts between quotes, "…"'),
@@ -71,7 +75,8 @@ def _decoded(decode: Callable[[], T], text: bytes, form: str) -> T:
 
 
 def _reason(data: bytes, error: Exception, form: str) -> str:
-    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+    fewer, more = sorted((data[::2].count(0), data[1::2].count(0)))
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) or (not fewer and 4 * more > len(data)):
         return "it is text in UTF-16: save it as UTF-8"
     try:
         text = data.decode()
@@ -102,6 +107,6 @@ def _hint(line: str, error: str) -> str:
             return f"this table stands twice: write [{line}] for each of several"
         return "this key stands twice: leave one out"
     for pattern, words in _HINTS:
-        if re.search(pattern, line):
-            return words
+        if found := re.search(pattern, line):
+            return found.expand(words)
     return re.sub(r" \(at .*\)$", "", error).lower()

@@ -29,6 +29,10 @@ _BOUNDS: Final = {">": "above", ">=": "at least", "<": "below", "<=": "at most"}
 
 _PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
     (
+        r"Expected `(?:float|int)(?: \| (?:null|array))*`, got `str`",
+        lambda _: "is a text; accepted is a number, without quotes or unit and with a decimal point",
+    ),
+    (
         r"Expected `([^`]+)`, got `([^`]+)`",
         lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}",
     ),
@@ -39,6 +43,14 @@ _PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
     (
         r"Expected `array` of length (\d+)(?:, got (\d+))?",
         lambda m: f"is a list of {m[2] or 'another length'}; accepted is a list of {m[1]}",
+    ),
+    (
+        r"Expected `array` of length (>=|<=) (\d+)",
+        lambda m: f"is too {'short' if m[1] == '>=' else 'long'}; accepted is a list of {_BOUNDS[m[1]]} {m[2]}",
+    ),
+    (
+        r"Expected `str` matching regex '.*x1f.*'",
+        lambda _: 'holds a line break or a tab, which "\\n" and "\\t" in a path make: write / in paths',
     ),
     (
         r"Expected `str` of length (>=|<=) (\d+)",

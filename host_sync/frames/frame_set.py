@@ -10,7 +10,14 @@ from typing import Final
 
 from device.balls.sphere import Ball
 from host_sync.errors import FrameSetError
-from host_sync.frames.frame_set_file import Encoding, FileTable, ImageNames, PressTable, read_frame_set_file
+from host_sync.frames.frame_set_file import (
+    Encoding,
+    FileTable,
+    ImageNames,
+    PressTable,
+    image_path,
+    read_frame_set_file,
+)
 from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import ImageInfo, read_image, read_info
 from host_sync.frames.square_pixels import square_pitch, square_place, square_shape
@@ -140,11 +147,14 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         Names the file and the key, or the image, that is wrong.
     """
     file = read_frame_set_file(path, calibrates=calibrates)
-    pitch_um, pixel_shape = square_pitch(file.pixel_pitch_um)
+    try:
+        pitch_um, pixel_shape = square_pitch(file.pixel_pitch_um)
+    except FrameSetError as error:
+        raise FrameSetError(f"{path}: {error}") from error
 
     def frame(image: ImageNames) -> FrameSpec:
         names = (image,) if isinstance(image, str) else image
-        return FrameSpec(tuple(path.parent / name for name in names), file.encoding, file.full_scale, pixel_shape)
+        return FrameSpec(tuple(image_path(path.parent, name) for name in names), file.encoding, file.full_scale, pixel_shape)
 
     reference = frame(file.reference.image) if file.reference else None
     press_frames = [frame(press.image) for press in file.press]

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from hal.decoding import decode_toml
-from hal.validation import explain_validation
+from hal.validation import accepted_at, split_validation
 from host_sync.errors import FrameSetError
 
 Encoding = Literal["linear", "srgb"]
@@ -140,13 +140,24 @@ def _decode(path: Path) -> FileTable:
     except OSError as error:
         raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name a frameset.toml") from error
     except msgspec.ValidationError as error:
-        problem = explain_validation(error)
-        accepted = "; accepted: 'linear', 'srgb'" if problem.startswith("encoding: ") else ""
-        if table := re.fullmatch(r"(press|scan|light): is a table; .*", problem):
-            accepted = f": write [[{table[1]}]]"
-        raise FrameSetError(f"{path}: {problem}{accepted}") from error
+        key, problem = split_validation(error)
+        if key == "encoding":
+            problem = f"{problem}; accepted: 'linear', 'srgb'"
+        elif problem.endswith(" is not a key"):
+            problem = f"{problem}; accepted: {accepted_at(FileTable, key)}"
+        elif key in ("press", "scan", "light") and problem.startswith("is a table"):
+            problem = f"{problem}: write [[{key}]]"
+        elif key == "pixel_pitch_um" and problem.startswith("is too long"):
+            problem = f"{problem}: write decimal points, such as [20.5, 21.0]"
+        raise FrameSetError(": ".join([str(path), key, problem] if key else [str(path), problem])) from error
     except msgspec.DecodeError as error:
         raise FrameSetError(f"{path}: {error}") from error
+
+
+def image_path(folder: Path, name: str) -> Path:
+    """The path of an image of a frame set; backslashes of Windows separate folders where no file has them in its name."""
+    path = folder / name
+    return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path
 
 
 def _check_lists(file: FileTable, path: Path, *, calibrates: bool) -> None:

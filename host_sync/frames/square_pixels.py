@@ -7,19 +7,36 @@ pixels of one pitch.
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame
+from host_sync.errors import FrameSetError
+
+
+MAX_OBLONG: Final = 3.0
+"""A field of an interlaced stream, or a sensor binned in one direction, has pixels twice as high as wide."""
 
 
 def square_pitch(pitch_um: float | tuple[float, ...]) -> tuple[float, float]:
     """The pitch of the square pixels, and the shape of the stored ones: height over width.
 
     pitch_um : distance of neighbouring pixels on the skin, µm; where they are not square, along a row and down a column
+
+    Raises
+    ------
+    FrameSetError
+        The two differ by more than any camera's.
     """
     if isinstance(pitch_um, tuple):
         across_um, down_um = pitch_um
+        if max(across_um, down_um) > MAX_OBLONG * min(across_um, down_um):
+            raise FrameSetError(
+                f"pixel_pitch_um: [{across_um:g}, {down_um:g}] are no two pitches of one camera: write decimal points, "
+                f"such as {across_um:g}.5 for one pitch, or the pitch along a row and the one down a column"
+            )
         return max(across_um, down_um), down_um / across_um
     return pitch_um, 1.0
 

@@ -18,8 +18,15 @@ class Table(msgspec.Struct):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("pitch = 20,0", "write a decimal point"),
-        ("pitch = 20,0  # µm", "write a decimal point"),
+        ("pitch = 20,0", "write a decimal point, 20.0"),
+        ("pitch = 20,0  # µm", "write a decimal point, 20.0"),
+        ("pitch = 1.234,5", "write a decimal point, and no sign between thousands"),
+        ("balls = [{ x = 117,2, y = 100.0 }]", "write a decimal point, 117.2"),
+        ("pitch = −2.0", "write a minus as -"),
+        ("pitch = 2.0;", "end the line after the value"),
+        ("pitch = 2.0, ", "end the line after the value"),
+        ("pitch = 2.0 // mm", "begin remarks with #"),
+        ("name = `bench`", "write straight quotes"),
         ('image = "presses\\p0.png"', "write / in paths instead of \\"),
         ("name = “bench”", "write straight quotes"),
         ("name = „bench“", "write straight quotes"),
@@ -41,7 +48,7 @@ def test_the_line_and_its_mend_are_said(line: str, words: str) -> None:
     with pytest.raises(msgspec.DecodeError) as caught:
         decode_toml(f"# a set\n{line}\n".encode(), Table)
     message = str(caught.value)
-    assert message.startswith(f"is not TOML: line 2, {line}: ")
+    assert message.startswith(f"is not TOML: line 2, {line.strip()}: ")
     assert words in message
     assert "\n" not in message
 
@@ -53,9 +60,9 @@ def test_twice_is_said_to_be_twice() -> None:
         decode_toml(b'[press]\nname = "a"\n[press]\nname = "b"\n', Table)
 
 
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-16-le"])
-def test_text_in_utf_16_is_named(encoding: str) -> None:
-    mark = "" if encoding == "utf-16" else "\ufeff"
+def test_text_in_utf_16_is_named(encoding: str, mark: str) -> None:
     with pytest.raises(msgspec.DecodeError, match="text in UTF-16: save it as UTF-8"):
         decode_toml((mark + 'name = "bench"\n').encode(encoding), Table)
 

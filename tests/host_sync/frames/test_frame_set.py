@@ -80,6 +80,15 @@ def test_a_frame_set_is_read(write: Write) -> None:
     assert np.array_equal(read_frame(scan.frame).rgb, (rgb() / 255.0).astype(np.float32))
 
 
+def test_backslashes_separate_folders(write: Write) -> None:
+    path = write(GOOD.replace('"flat.png"', "'at rest\\flat.png'"))
+    (path.parent / "at rest").mkdir()
+    (path.parent / "flat.png").rename(path.parent / "at rest" / "flat.png")
+    reference = load_frame_set(path).reference
+    assert reference is not None
+    assert reference.images == (path.parent / "at rest" / "flat.png",)
+
+
 def test_balls_and_reference_may_be_left_out(write: Write) -> None:
     text = GOOD.replace('[reference]\nimage = "flat.png"\n', "").replace("balls = [{ x = 12.5, y = 9, r = 6 }]", "")
     frame_set = load_frame_set(write(text + "\n"))
@@ -91,7 +100,12 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
     ("old", "new", "sentence"),
     [
         ('name = "bench"\n', "", "name is missing"),
-        ("encoding", "encodng", "encodng is not a key"),
+        ("encoding", "encodng", "encodng is not a key; accepted: name, pixel_pitch_um, encoding"),
+        ("ball_radius_mm", "ball_radius", "press[0]: ball_radius is not a key; accepted: image, ball_radius_mm"),
+        ("= 0.1", '= "0,1"', "press[0].ball_radius_mm: is a text; accepted is a number, without quotes or unit"),
+        ("um = 10.0", "um = [10,0, 10,5]", "pixel_pitch_um: is too long; accepted is a list of at most 2: write decimal"),
+        ("um = 10.0", "um = [40,5]", "pixel_pitch_um: [40, 5] are no two pitches of one camera: write decimal points"),
+        ('"flat.png"', '"temp\\new.png"', 'holds a line break or a tab, which "\\n" and "\\t" in a path make'),
         ('"linear"', '"gamma"', "encoding: 'gamma' is not accepted; accepted: 'linear', 'srgb'"),
         ("10.0", '"ten"', "pixel_pitch_um: is a text; accepted is a number"),
         ("10.0", "0", "pixel_pitch_um: "),
