@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,15 +16,18 @@ MAX_BYTES: Final = 64 << 20
 BYTE_ORDER_MARK: Final = "\ufeff"
 
 
-def read_table(path: Path, error: type[HostError]) -> list[dict[str, str]]:
-    """Rows of a table with a line of names; empty texts where a row is short.
+def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Rows of a table with a line of names; empty texts where a row is short, and no row that is blank.
 
-    Commas, semicolons or tabs separate columns, as the line of names shows; text is UTF-8, UTF-16 or Windows-1252.
+    Commas, semicolons or tabs separate columns, as the line of names shows, or a line "sep=;" before it; text is UTF-8,
+    UTF-16 or Windows-1252.
+
+    columns : names of columns that the table must have; in the table, letters of any case spell them
 
     Raises
     ------
     HostError
-        The file cannot be read or is no table, as the given class.
+        The file cannot be read or is no table, or has not these columns, as the given class.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -32,11 +35,17 @@ def read_table(path: Path, error: type[HostError]) -> list[dict[str, str]]:
         text = _decoded(path.read_bytes())
         if "\0" in text:
             raise error(f"{path}: is not text: name a CSV file")
+        first, _, rest = text.partition("\n")
+        text = rest if first.strip().strip('"').lower().startswith("sep=") else text
         names = text.partition("\n")[0]
         separator = max(",;\t", key=names.count)
         rows = csv.DictReader(text.splitlines(), restkey="more", restval="", delimiter=separator, skipinitialspace=True)
-        rows.fieldnames = [name.strip() for name in rows.fieldnames or ()]
-        return [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows)]
+        spelled = {name.casefold(): name for name in columns}
+        rows.fieldnames = [spelled.get(name.strip().casefold(), name.strip()) for name in rows.fieldnames or ()]
+        if lost := [name for name in columns if name not in rows.fieldnames]:
+            raise error(f"{path}: has no column {', '.join(lost)}: correct its line of names")
+        cells = [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows)]
+        return [row for row in cells if any(row.values())]
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror}): name a CSV file") from problem
     except (UnicodeDecodeError, csv.Error) as problem:

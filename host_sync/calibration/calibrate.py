@@ -13,8 +13,7 @@ from device.balls.sphere import BallSamples, gather_samples
 from device.balls.viewpoint import Viewpoint
 from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
-from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, flat_field_correct, make_flat_field
+from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from device.inverse_map.skin_at_rest import SkinAtRest
@@ -41,7 +40,7 @@ from host_sync.calibration.elevation_steps import (
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration.lamp_elevation import as_read
-from host_sync.calibration.located_presses import locate_all
+from host_sync.calibration.located_presses import flat_field_of, locate_all
 from host_sync.calibration.press_drift import drift_note, fit_without_drift, without_drift
 from host_sync.calibration.quadric_fit import quadric_that_reads_better
 from host_sync.calibration.radii import without_contradiction
@@ -203,9 +202,7 @@ def calibrate(
     if reference is not None:
         check_reference(reference)
     tell("flat-field correction")
-    flat_field = (
-        make_flat_field(reference) if reference else estimate_flat_field([p.frame for p in presses] + list(others))
-    )
+    flat_field = flat_field_of([*(press.frame for press in presses), *others], reference)
     tell("finding balls")
     located, pitch = locate_all(presses, flat_field, pitch_um, reference)
     pitch_um = pitch.pitch_um if pitch else pitch_um

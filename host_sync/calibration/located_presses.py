@@ -10,7 +10,8 @@ import numpy as np
 
 from device.calibration.limits import MIN_BALLS
 from device.errors import CalibrationError
-from device.imaging.flat_field import LinearFrame, NormalizedImage
+from device.imaging.estimated_flat_field import estimate_flat_field
+from device.imaging.flat_field import LinearFrame, NormalizedImage, make_flat_field
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame, UsedPress, drop_clipped, locate
 from host_sync.calibration.consistency import check_agreement, check_untouched
@@ -36,6 +37,16 @@ LOOKED_AT: Final = 12
 """At most so many presses are searched for balls of another radius."""
 
 
+def flat_field_of(frames: Sequence[LinearFrame], reference: LinearFrame | None) -> Float32Array:
+    """What a set's frames are divided by: the frame of untouched skin, else a stand-in fitted to the frames."""
+    return make_flat_field(reference) if reference else estimate_flat_field(list(frames))
+
+
+def locate_usable(press: PressFrame, flat_field: Float32Array) -> UsedPress:
+    """A press, not one of a grid, with the balls that may be used for training; errors as for `locate`."""
+    return drop_clipped(locate(press, flat_field))
+
+
 def locate_all(
     presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, reference: LinearFrame | None
 ) -> tuple[Sequence[UsedPress], PixelPitch | None]:
@@ -50,7 +61,7 @@ def locate_all(
     CalibrationError
         Too few balls can be used.
     """
-    labelled = [locate(press, flat_field) for press in presses]
+    labelled = [(locate if press.grid else locate_usable)(press, flat_field) for press in presses]
     if not any(used.balls for used in labelled):
         # Frames of something else agree in nothing, and that is not the reason.
         check_count(labelled, stated_um, presses[0].radius_px)
@@ -58,7 +69,7 @@ def locate_all(
     if reference is not None:
         check_untouched(reference, [press.frame for press in presses])
     located, pitch = measure_pitch(presses, labelled, stated_um)
-    located = [drop_clipped(used) for used in located]
+    located = [drop_clipped(used) if press.grid else used for press, used in zip(presses, located, strict=True)]
     check_count(located, stated_um, presses[0].radius_px)
     return located, pitch
 

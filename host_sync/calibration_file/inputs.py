@@ -27,9 +27,9 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
     FrameSetError
         A frame is unreadable.
     """
-    presses = tuple(_press_frame(press, frame_set) for press in frame_set.presses)
+    presses = tuple(press_frame(press, frame_set) for press in frame_set.presses)
     reference = read_frame(frame_set.reference) if frame_set.reference else None
-    others = tuple(read_frame(frame) for frame in _others(frame_set))
+    others = tuple(read_frame(frame) for frame in stand_ins(frame_set))
     return CalibrationFrames(
         presses,
         reference,
@@ -97,7 +97,7 @@ def key_of_set(frame_set: FrameSet) -> str:
         A frame is unreadable.
     """
     specs = [press.frame for press in frame_set.presses]
-    specs += [frame_set.reference] if frame_set.reference else _others(frame_set)
+    specs += [frame_set.reference] if frame_set.reference else stand_ins(frame_set)
     presses = [_settings(press, frame_set) for press in frame_set.presses]
     settings: tuple[Any, ...] = (
         frame_set.pixel_pitch_um,
@@ -132,7 +132,7 @@ def key_of_bundle(bundle: CalibrationBundle) -> str:
     return key_of(settings, [bundle.directory / name for name in names])
 
 
-def _others(frame_set: FrameSet) -> list[FrameSpec]:
+def stand_ins(frame_set: FrameSet) -> list[FrameSpec]:
     """Frames that help to stand in for a missing reference."""
     return [] if frame_set.reference else [scan.frame for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
 
@@ -143,8 +143,8 @@ def _settings(press: PressSpec, frame_set: FrameSet) -> tuple[Any, ...]:
     return press.name, _source(press, frame_set), press.balls, *radii, press.grid_pitch_mm, press.grid_tolerance_mm
 
 
-def _press_frame(press: PressSpec, frame_set: FrameSet) -> PressFrame:
-    """The press as calibration takes it."""
+def press_frame(press: PressSpec, frame_set: FrameSet) -> PressFrame:
+    """The press as calibration takes it; errors as for `read_frame`."""
     tolerance = press.radius_tolerance_mm
     return PressFrame(
         name=press.name,

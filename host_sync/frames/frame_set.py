@@ -154,7 +154,9 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
 
     def frame(image: ImageNames) -> FrameSpec:
         names = (image,) if isinstance(image, str) else image
-        return FrameSpec(tuple(image_path(path.parent, name) for name in names), file.encoding, file.full_scale, pixel_shape)
+        return FrameSpec(
+            tuple(image_path(path.parent, name) for name in names), file.encoding, file.full_scale, pixel_shape
+        )
 
     reference = frame(file.reference.image) if file.reference else None
     press_frames = [frame(press.image) for press in file.press]

@@ -155,7 +155,7 @@ def _decode(path: Path) -> FileTable:
 
 
 def image_path(folder: Path, name: str) -> Path:
-    """The path of an image of a frame set; backslashes of Windows separate folders where no file has them in its name."""
+    """The path of an image of a frame set; backslashes separate folders where no file has one in its name."""
     path = folder / name
     return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path
 

@@ -15,7 +15,6 @@ import numpy as np
 from device.imaging.flat_field import LinearFrame
 from host_sync.errors import FrameSetError
 
-
 MAX_OBLONG: Final = 3.0
 """A field of an interlaced stream, or a sensor binned in one direction, has pixels twice as high as wide."""
 

@@ -5,12 +5,13 @@ A circle is drawn around all of the ball that shows, where the skin has left it 
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Final
 
 from device.balls.detector import MAX_CONTACT
-from host_sync.csv_table import read_table
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES, natural_order
 from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, left_out
@@ -27,11 +28,10 @@ def find_circle_table(source: Path) -> Path | None:
     """The table of circles in a folder, in its csv folder or beside its images; None where there is none."""
     for one in (*sorted(source.glob("*.csv")), *sorted(source.glob("csv/*.csv"))):
         try:
-            with one.open(encoding="utf-8-sig") as stream:
-                if stream.readline().strip().split(",") == list(COLUMNS):
-                    return one
-        except (OSError, UnicodeDecodeError):
+            read_table(one, FrameSetError, COLUMNS)
+        except FrameSetError:
             continue
+        return one
     return None
 
 
@@ -49,8 +49,8 @@ def import_annotated(source: Path, said: Said) -> Draft:
     pitch_um = said.pixel_pitch_um or _stated_pitch_um(source)
     largest = MAX_CONTACT * said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
     circles: dict[str, list[Circle]] = {}
-    for row in read_table(table, FrameSetError):
-        name = re.split(r"[/\\]", row["img_names"])[-1]  # paths of the computer on which they were drawn
+    for row in read_table(table, FrameSetError, COLUMNS):
+        name = re.split(r"[/\\]", row[COLUMNS[0]])[-1].casefold()  # paths of the computer where they were drawn
         circles.setdefault(name, []).append(_contact(row, largest, table))
     images = _images(source, set(circles))
     presses = [
@@ -78,21 +78,21 @@ def import_annotated(source: Path, said: Said) -> Draft:
 def _images(source: Path, names: set[str]) -> dict[str, Path]:
     """The folder that holds most of the images, by name."""
     folders = [source, *(one for one in sorted(source.iterdir()) if one.is_dir())]
-    held = [{one.name: one for one in sorted(place.iterdir(), key=natural_order)} for place in folders]
+    held = [{one.name.casefold(): one for one in sorted(place.iterdir(), key=natural_order)} for place in folders]
     best = max(held, key=lambda files: len(names & files.keys()))
     return {name: best[name] for name in names & best.keys()}
 
 
 def _is_at_rest(path: Path, circles: dict[str, list[Circle]]) -> bool:
     named = path.suffix.lower() in SUFFIXES and _AT_REST.fullmatch(path.stem) is not None
-    return named and path.name not in circles
+    return named and path.name.casefold() not in circles
 
 
 def _contact(row: dict[str, str], largest: float | None, table: Path) -> Circle:
-    try:
-        column, line, ring = (float(row[name]) for name in COLUMNS[1:])
-    except ValueError as error:
-        raise FrameSetError(f"{table}: {error}: correct the table") from error
+    column, line, ring = (number_in(row[name]) for name in COLUMNS[1:])
+    if not (math.isfinite(column + line) and 0.0 < ring < math.inf):
+        given = ", ".join(row[name] for name in COLUMNS[1:])
+        raise FrameSetError(f"{table}: {row[COLUMNS[0]]}: {given!r} is no circle: correct the table")
     contact = CONTACT_OF_RING * ring
     return column, line, min(contact, largest) if largest else contact
 

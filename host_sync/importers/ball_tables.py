@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 import zlib
+from codecs import BOM_UTF8
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -17,6 +19,7 @@ from host_sync.errors import FrameSetError
 from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
 CATALOGUE: Final = "catalog.csv"
+FOLDER, DIAMETER = "experiment_reldir", "diameter(mm)"
 ANNOTATIONS: Final = "annotations/annotations.csv"
 METADATA: Final = "annotations/metadata.json"
 
@@ -30,8 +33,9 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
         There is no catalogue, or none of its images is there.
     """
     presses, missing = [], []
-    for row in read_table(source / CATALOGUE, FrameSetError):
-        folder, diameter = inside(source, row.get("experiment_reldir", "")), row.get("diameter(mm)", "")
+    columns = (FOLDER,) if said.ball_radius_mm else (FOLDER, DIAMETER)
+    for row in read_table(source / CATALOGUE, FrameSetError, columns):
+        folder, diameter = inside(source, row[FOLDER]), row.get(DIAMETER, "")
         image = folder / "gelsight.png"
         if image.is_file():
             radius = said.ball_radius_mm or _positive(diameter, source / CATALOGUE) / 2.0
@@ -53,7 +57,7 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     facts: dict[str, object] = {}
     if (source / METADATA).is_file():
         try:
-            facts = decode_json((source / METADATA).read_bytes(), dict[str, object])
+            facts = decode_json((source / METADATA).read_bytes().removeprefix(BOM_UTF8), dict[str, object])
         except OSError as error:
             raise FrameSetError(f"{source / METADATA}: cannot be read ({error.strerror}): annotate again") from error
         except msgspec.ValidationError as error:
@@ -65,7 +69,8 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
     known = said.ball_radius_mm or (float(radius_mm) if isinstance(radius_mm, int | float) else None)
     presses, missing = [], []
     for row in read_table(source / ANNOTATIONS, FrameSetError):
-        image = inside(source, f"probe_images/{next(iter(row.values()), '')}")
+        name = re.split(r"[/\\]", next(iter(row.values()), ""))[-1]
+        image = inside(source, f"probe_images/{name}")
         if image.is_file():
             presses.append(DraftPress((image,), known))  # places are the probe's, not seen; the balls are found
         else:
@@ -92,9 +97,9 @@ def _draft(
     )
 
 
-def _positive(value: str | None, path: Path) -> float:
-    """The length, with a decimal point or comma."""
-    number = number_in(value or "")
+def _positive(value: str, path: Path) -> float:
+    """The length, with a decimal point or comma, and its unit or not."""
+    number = number_in(value.removesuffix("mm"))
     if not 0.0 < number < float("inf"):
         raise FrameSetError(f"{path}: {value!r} is no length: correct the table")
     return number

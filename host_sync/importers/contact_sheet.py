@@ -43,9 +43,8 @@ def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:
     presses = frame_set.presses[:MAX_PRESSES]
     width_px = int(WIDTH_IN * DPI / pictures_across(len(presses)))
     shown = []
-    seen = look_at([press.frame for press in presses], frame_set.reference, [press.radius_px for press in presses])
     names = short_names([press.frame.images[0] for press in presses])
-    for press, found in zip(presses, seen, strict=True):
+    for press, found in zip(presses, look_at(frame_set, MAX_PRESSES), strict=True):
         shown.append(_shown(names[press.frame.images[0]], press, found, frame_set.shape, width_px))
     figure = Figure(figsize=(WIDTH_IN, HEAD_IN + sheet_height_in(shown, WIDTH_IN)))
     draw_sheet(figure, shown, WIDTH_IN, HEAD_IN)

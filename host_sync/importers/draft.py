@@ -117,7 +117,10 @@ class Draft:
         if not copies:
             return self
         names = short_names([press.images[0] for press in self.presses])
-        pairs = "; ".join(f"{names[copy]} is the same file as {names[original]}" for copy, original in copies[:3])
+        pairs = "; ".join(
+            f"{names[copy]} is the same file as {names[original]}" if copy != original else f"{copy} is listed twice"
+            for copy, original in copies[:3]
+        )
         note = f"{pairs}{f' and {len(copies) - 3} more' if len(copies) > 3 else ''}: left out of the presses"
         return replace(self, presses=tuple(kept), notes=(*self.notes, note))
 
@@ -227,6 +230,8 @@ def left_out(missing: Sequence[str]) -> tuple[str, ...]:
 def inside(source: Path, name: str) -> Path:
     """The file of this name in a folder; of tables from Windows, with backslashes and letters of any case.
 
+    Of a path on the computer that wrote the table, its end that is there.
+
     Raises
     ------
     FrameSetError
@@ -234,7 +239,12 @@ def inside(source: Path, name: str) -> Path:
     """
     path = source / name
     if not path.exists():
-        path = source / _as_spelled(source, name.replace("\\", "/"))
+        name = name.replace("\\", "/")
+        path = source / _as_spelled(source, name)
+        if re.match(r"[A-Za-z]:|/", name):
+            ends = ("/".join(name.split("/")[start:]) for start in range(1, name.count("/") + 1))
+            there = (place for end in ends if end and (place := source / _as_spelled(source, end)).exists())
+            path = next(there, source / name.rpartition("/")[2])
     if not path.resolve().is_relative_to(source.resolve()):
         raise FrameSetError(f"{source}: {name!r} is outside of the folder: fetch the folder whole")
     return path

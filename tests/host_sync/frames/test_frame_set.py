@@ -103,7 +103,11 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
         ("encoding", "encodng", "encodng is not a key; accepted: name, pixel_pitch_um, encoding"),
         ("ball_radius_mm", "ball_radius", "press[0]: ball_radius is not a key; accepted: image, ball_radius_mm"),
         ("= 0.1", '= "0,1"', "press[0].ball_radius_mm: is a text; accepted is a number, without quotes or unit"),
-        ("um = 10.0", "um = [10,0, 10,5]", "pixel_pitch_um: is too long; accepted is a list of at most 2: write decimal"),
+        (
+            "um = 10.0",
+            "um = [10,0, 10,5]",
+            "pixel_pitch_um: is too long; accepted is a list of at most 2: write decimal",
+        ),
         ("um = 10.0", "um = [40,5]", "pixel_pitch_um: [40, 5] are no two pitches of one camera: write decimal points"),
         ('"flat.png"', '"temp\\new.png"', 'holds a line break or a tab, which "\\n" and "\\t" in a path make'),
         ('"linear"', '"gamma"', "encoding: 'gamma' is not accepted; accepted: 'linear', 'srgb'"),

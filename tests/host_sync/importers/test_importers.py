@@ -256,6 +256,8 @@ def test_public_folders_are_imported(
         ("experiment_reldir;diameter(mm)\r\n1.920mm\\0;1,920\r\n", "utf-8-sig"),
         ("experiment_reldir\tdiameter(mm)\r\n1.920MM\\0\t1,920\r\n", "utf-16"),
         ("experiment_reldir; diameter(mm); remark\r\n1.920mm/0; 1,920; größer\r\n", "cp1252"),
+        ("sep=;\r\nExperiment_RelDir;Diameter(mm)\r\n1.920mm\\0;1,92 mm\r\n;\r\n", "utf-8"),
+        ("experiment_reldir,diameter(mm)\r\nC:\\Users\\jo\\set\\1.920mm\\0,1.92mm\r\n", "utf-8"),
     ],
 )
 def test_a_catalogue_made_on_windows_is_read(tmp_path: Path, table: str, encoding: str) -> None:
@@ -266,3 +268,10 @@ def test_a_catalogue_made_on_windows_is_read(tmp_path: Path, table: str, encodin
     assert run("gs_sdk", tmp_path / "set", "--pixel-pitch-um", 10, "--encoding", "srgb", "--out", out) == 0
     (press,) = loaded(out).presses
     assert press.ball_radius_mm == pytest.approx(0.96)
+
+
+def test_a_catalogue_without_its_columns_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image(tmp_path / "1.920mm" / "0" / "gelsight.png")
+    (tmp_path / "catalog.csv").write_text("1.920mm/0,1.92\n")
+    assert run("gs_sdk", tmp_path, "--pixel-pitch-um", 10, "--encoding", "srgb") == 2
+    assert "catalog.csv: has no column experiment_reldir, diameter(mm): correct its" in capsys.readouterr().err

@@ -14,12 +14,15 @@ from ball_folder import OPTIONS, PLACES, RADIUS_PX, frame, presses, put
 from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.located_presses import locate_all
+from host_sync.calibration.located_presses import flat_field_of, locate_all
+from host_sync.calibration_file.inputs import frames_of_set
 from host_sync.cli.main import main
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, load_frame_set
-from host_sync.importers.ball_survey import survey_radius
-from host_sync.importers.recognition import IMPORTERS, Kind, recognize
+from host_sync.frames.linear_light import mark_pattern
+from host_sync.importers.ball_survey import look_at, survey_radius
+from host_sync.importers.draft import Said
+from host_sync.importers.recognition import IMPORTERS, Kind, read_folder, recognize
 
 
 def run(*words: object) -> int:
@@ -142,6 +145,31 @@ def test_presses_of_something_else_are_refused_for_their_balls(monkeypatch: pyte
         locate_all([press], flat_field, 50.0, None)
 
 
+@pytest.mark.parametrize("reference", ["ref.png", None])
+@pytest.mark.parametrize("dots", [False, True])
+def test_import_shows_the_balls_that_calibration_uses(tmp_path: Path, reference: str | None, dots: bool) -> None:
+    for number, place in enumerate([None, *PLACES]):
+        image = frame([place] if place else [])
+        if number == 3:  # a lamp that shines on the skin clips half of the ball
+            row, column = np.mgrid[: image.shape[0], : image.shape[1]]
+            image[(np.hypot(column - place[0], row - place[1]) < 27.0) & (column > place[0])] = 255
+        if dots:  # the skin takes them along
+            image[8 + 2 * number % 5 :: 40, 10 + number % 4 :: 40] = 0
+            image = cv2.erode(image, np.ones((4, 4), np.uint8))
+        if number or reference:
+            assert cv2.imwrite(str(tmp_path / (f"ball-{number}.png" if number else "ref.png")), image)
+    assert run(tmp_path, *OPTIONS) == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert (mark_pattern(found.reference) is not None) == dots if found.reference else not reference
+    frames = frames_of_set(found)
+    flat_field = flat_field_of([*(press.frame for press in frames.presses), *frames.others], frames.reference)
+    located, _ = locate_all(frames.presses, flat_field, found.pixel_pitch_um, frames.reference)
+    shown = [seen.search.found for seen in look_at(found, 100)]
+    assert shown == [used.balls for used in located]
+    assert not shown[2]
+    assert sum(map(bool, shown)) >= 5
+
+
 def test_images_of_another_size_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
@@ -150,6 +178,32 @@ def test_images_of_another_size_are_named_and_left_out(tmp_path: Path, capsys: p
     assert "1 of 9 images are not 240x180 pixels, or not whole, and left out, such as sample_9.png" in (
         capsys.readouterr().out
     )
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        b"img_names;center_x;center_y;radius\r\nimgs\\0001.PNG;30,5;20,25;10,0\r\n",
+        '"","img_names","center_x","center_y","radius"\n"0","imgs\\0001.png","30.5","20.25","10"\n'.encode("utf-16"),
+        b"\xef\xbb\xbfimg_names, center_x, center_y, radius\nimgs/0001.png, 30.5, 20.25, 10\n,,,\n",
+    ],
+)
+def test_circles_of_a_spreadsheet_on_windows_are_read(tmp_path: Path, table: bytes) -> None:
+    for name in ("0000.png", "0001.png"):
+        put(tmp_path / "imgs" / name)
+    (tmp_path / "circles.csv").write_bytes(table)
+    assert recognize(tmp_path) == "fots"
+    (press,) = read_folder(tmp_path, "fots", Said(20.0, 2.0, "srgb")).presses
+    assert press.images == (tmp_path / "imgs" / "0001.png",)
+    assert press.circles == ((30.5, 20.25, 8.5),)
+
+
+@pytest.mark.parametrize("circle", ["a,20,10", "30,nan,10", "30,20,-10"])
+def test_a_circle_that_is_none_is_named(tmp_path: Path, circle: str) -> None:
+    put(tmp_path / "0001.png")
+    (tmp_path / "circles.csv").write_text(f"img_names,center_x,center_y,radius\n0001.png,{circle}\n")
+    with pytest.raises(FrameSetError, match=r"circles.csv: 0001.png: '.*' is no circle: correct the table"):
+        read_folder(tmp_path, "fots", Said(20.0, 2.0, "srgb"))
 
 
 def test_drawn_circles_of_fots_are_kept_narrower(tmp_path: Path) -> None:
