@@ -29,12 +29,8 @@ _BOUNDS: Final = {">": "above", ">=": "at least", "<": "below", "<=": "at most"}
 
 _PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
     (
-        r"Expected `(?:float|int)(?: \| (?:null|array))*`, got `str`",
-        lambda _: "is a text; accepted is a number, without quotes or unit and with a decimal point",
-    ),
-    (
         r"Expected `([^`]+)`, got `([^`]+)`",
-        lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}",
+        lambda m: f"is {_kinds(m[2])}; accepted is {_kinds(m[1])}" + _without_quotes(m[1], m[2]),
     ),
     (
         r"Expected `(?:float|int)` (>=|<=|>|<) (\S+?)(?:\.0)?",
@@ -121,6 +117,11 @@ def _located(error: msgspec.ValidationError) -> tuple[str, str]:
 def _kinds(names: str) -> str:
     """For example "a number or nothing" for "float | null"."""
     return " or ".join(_KINDS.get(name.strip(), name.strip()) for name in names.split("|"))
+
+
+def _without_quotes(accepted: str, given: str) -> str:
+    """The mend of a number that was written as a text."""
+    return ": write it without quotes and unit" if given == "str" and re.search("int|float", accepted) else ""
 
 
 def _steps(key: str) -> Iterator[tuple[str, int | None]]:

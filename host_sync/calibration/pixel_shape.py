@@ -74,8 +74,8 @@ class PixelShape:
         return max(COVERAGE * self.sigma, MAX_OFF)
 
     def contradiction(self, pitch_um: float) -> str:
-        """The sentence that says how pixels differ from the stated ones or may differ, empty when they do not."""
-        if self.off <= MAX_OFF:
+        """The sentence on how pixels differ from the stated ones or may differ; empty where they agree."""
+        if self.off <= min(self.sigma, MAX_OFF):
             return ""
         if self.off <= self.allowed:
             return (

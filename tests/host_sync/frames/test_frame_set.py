@@ -102,7 +102,7 @@ def test_balls_and_reference_may_be_left_out(write: Write) -> None:
         ('name = "bench"\n', "", "name is missing"),
         ("encoding", "encodng", "encodng is not a key; accepted: name, pixel_pitch_um, encoding"),
         ("ball_radius_mm", "ball_radius", "press[0]: ball_radius is not a key; accepted: image, ball_radius_mm"),
-        ("= 0.1", '= "0,1"', "press[0].ball_radius_mm: is a text; accepted is a number, without quotes or unit"),
+        ("= 0.1", '= "0,1"', "press[0].ball_radius_mm: is a text; accepted is a number or nothing: write it without"),
         (
             "um = 10.0",
             "um = [10,0, 10,5]",
