@@ -1,4 +1,4 @@
-"""Detects swapped colour channels: untouched skin matches the reference only after a permutation."""
+"""Detects swapped colour channels and turned frames: untouched skin matches the reference only after a permutation."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ from device.surface.fields import Float32Array
 CLEAR_FACTOR: Final = 0.5
 """A permutation must reduce the disagreement to this fraction before the frame is refused."""
 
+_VIEWS: Final[dict[str, tuple[slice, ...]]] = {
+    "mirrored left to right": np.s_[:, ::-1],
+    "mirrored top to bottom": np.s_[::-1, :],
+    "turned by half a turn": np.s_[::-1, ::-1],
+}
+
 ROWS_SAMPLED: Final = 128
 """About as many rows, and columns at the same stride, are tested."""
 
@@ -22,12 +28,12 @@ CLEAR_DISAGREEMENT: Final = 0.06
 
 
 def check_channel_order(frame: LinearFrame, flat_field: Float32Array, name: str) -> None:
-    """Refuse a frame whose channels are in another order than its reference's.
+    """Refuse a frame whose channels are in another order than its reference's, or that is mirrored or turned.
 
     Raises
     ------
     CalibrationMismatch
-        Names the frame and the order that its channels seem to have.
+        Names the frame and the order that its channels seem to have, or how it is turned.
     """
     step = max(1, frame.shape[0] // ROWS_SAMPLED)
     light = np.log(np.maximum(frame.rgb[::step, ::step], DARK_FLOOR))
@@ -37,6 +43,12 @@ def check_channel_order(frame: LinearFrame, flat_field: Float32Array, name: str)
         return
     disagreement = {order: _disagreement(light[..., order], rest) for order in permutations(range(3))}
     best = min(disagreement, key=lambda order: disagreement[order])
+    turned = {words: _disagreement(light[view], rest) for words, view in _VIEWS.items()}
+    view = min(turned, key=lambda words: turned[words])
+    if turned[view] < min(CLEAR_FACTOR * as_given, disagreement[best]):
+        raise CalibrationMismatch(
+            f"{name}: is {view} against the untouched skin: take all frames as one camera mode does"
+        )
     if disagreement[best] < CLEAR_FACTOR * as_given:
         seen = ", ".join("RGB"[best.index(channel)] for channel in range(3))
         raise CalibrationMismatch(f"{name}: the channels are in the order {seen}, not R, G, B: convert the file")

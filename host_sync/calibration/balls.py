@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -157,7 +158,8 @@ def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPres
     """The press with the balls of a search as its own."""
     fault = ""
     if not seen.found:
-        reasons = "; ".join(sorted({ball.reason for ball in seen.rejected})) or "no place is shaded as it would be"
+        kinds = {re.sub(r"[0-9.]+", "#", ball.reason): ball.reason for ball in reversed(seen.rejected)}
+        reasons = "; ".join(sorted(kinds.values())) or "no place is shaded as it would be"
         fault = f"shows no ball of radius {radius_px:.0f} px ({reasons})"
     return replace(press, balls=seen.found, rejected=seen.rejected, error=fault, seen=seen)
 

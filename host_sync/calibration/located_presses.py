@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+import cv2
 import numpy as np
 
-from device.calibration.limits import MIN_BALLS
+from device.calibration.limits import MAX_DISAGREEMENT, MIN_BALLS
 from device.errors import CalibrationError
 from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import LinearFrame, NormalizedImage, make_flat_field
@@ -24,6 +25,9 @@ NAMED: Final = 3
 
 ONE_LIGHT: Final = 0.1
 """Frames whose colour changes less than this fraction of their brightness show one light in all channels."""
+
+COARSE_PX: Final = 60
+"""Length of a frame's shorter side in which colours are compared: averages of blocks show little noise."""
 
 ONE_LIGHT_WORDS: Final = (
     "all channels show the same light (a grey image, or white lamps): balls are found by lights of three colours, one "
@@ -99,7 +103,11 @@ def _grouped(presses: Sequence[UsedPress]) -> list[str]:
     """Return the reasons why presses cannot be used, each once with its presses; figures are those of the first."""
     groups: dict[str, tuple[str, list[str]]] = {}
     for press in presses:
-        reasons = [press.error] if press.error else [f"shows a ball that {ball.reason}" for ball in press.rejected]
+        reasons = (
+            [press.error]
+            if press.error
+            else [f"shows a ball that is not used ({ball.reason})" for ball in press.rejected]
+        )
         for reason in reasons:
             _, names = groups.setdefault(re.sub(r"[0-9.]+", "#", reason), (reason, []))
             if press.label not in names:
@@ -117,6 +125,12 @@ def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float
     """Return the mend that the presses themselves suggest where they show no ball."""
     if images and float(np.median([colour_over_brightness(image) for image in images])) < ONE_LIGHT:
         return ONE_LIGHT_WORDS
+    level = float(np.median([np.nanmedian(image.values) for image in images])) if images else 1.0
+    if abs(np.log(max(level, 1e-3))) > np.log1p(MAX_DISAGREEMENT):
+        return (
+            f"the presses are {level:.2f} times as bright as the reference: take the reference again with "
+            "this gel, these lights and this exposure"
+        )
     found = fitting_radius(images[:: max(1, len(images) // LOOKED_AT)]) if radius_px and images else None
     if found is not None and radius_px and 2 * found.presses >= found.looked_at and found.presses > 1:
         ratio = found.radius_px / radius_px
@@ -136,14 +150,12 @@ def mend_of_radius(ratio: float, radius: str, pitch: str) -> str:
 
 def colour_over_brightness(image: NormalizedImage) -> float:
     """Root mean square of what colour changes where a frame changes most, over that of brightness."""
-    values = np.log(np.maximum(np.nan_to_num(image.values[:: _step(image), :: _step(image)]), 1e-3))
+    rows, columns = (max(1, round(size * COARSE_PX / min(image.shape))) for size in image.shape)
+    small = cv2.resize(np.nan_to_num(image.values), (columns, rows), interpolation=cv2.INTER_AREA)
+    values = np.log(np.maximum(small.reshape(rows, columns, -1), 1e-3))
     brightness = values.mean(axis=-1)
     brightness = brightness - np.median(brightness)
     most = np.abs(brightness) >= np.percentile(np.abs(brightness), 90.0)
     colour = values - values.mean(axis=-1, keepdims=True)
     colour = colour - np.median(colour, axis=(0, 1))
     return float(np.sqrt((colour[most] ** 2).mean() / max(float((brightness[most] ** 2).mean()), 1e-12)))
-
-
-def _step(image: NormalizedImage) -> int:
-    return max(1, min(image.shape) // 200)

@@ -203,12 +203,33 @@ def test_something_that_touches_the_skin_in_the_reference_is_named_with_its_plac
         calibrate(presses(usual.balls[1:]), usual.balls[0], PITCH_UM)
 
 
-def test_grey_frames_are_called_one_light(usual: SimulatedScene) -> None:
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_grey_frames_are_called_one_light(usual: SimulatedScene, noise: float) -> None:
+    random = np.random.default_rng(2)
+
     def grey(frame: LinearFrame) -> LinearFrame:
-        return replace(frame, rgb=np.repeat(frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1))
+        rgb = np.repeat(frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1)
+        return replace(frame, rgb=np.abs(rgb + random.normal(0.0, noise, rgb.shape)).astype(np.float32))
 
     with pytest.raises(CalibrationError, match="all channels show the same light"):
         calibrate(presses([grey(frame) for frame in usual.balls]), grey(usual.rest), PITCH_UM)
+
+
+def test_presses_of_another_exposure_than_the_reference_are_named(usual: SimulatedScene) -> None:
+    darker = [replace(frame, rgb=np.float32(0.5) * frame.rgb) for frame in usual.balls]
+    with pytest.raises(CalibrationError, match=r"presses are 0\.[45]\d times as bright as the reference: take the"):
+        calibrate(presses(darker), usual.rest, PITCH_UM)
+
+
+@pytest.mark.parametrize(
+    ("view", "words"), [(np.s_[:, ::-1], "mirrored left to right"), (np.s_[::-1, ::-1], "turned by half a turn")]
+)
+def test_a_press_that_is_turned_against_the_reference_is_named(
+    usual: SimulatedScene, view: tuple[slice, ...], words: str
+) -> None:
+    turned = replace(usual.balls[2], rgb=np.ascontiguousarray(usual.balls[2].rgb[view]))
+    with pytest.raises(CalibrationMismatch, match=f"press-02: is {words} against the untouched skin"):
+        calibrate(presses([*usual.balls[:2], turned, *usual.balls[3:]]), usual.rest, PITCH_UM)
 
 
 def test_balls_of_another_radius_than_the_stated_one_are_named(usual: SimulatedScene) -> None:
