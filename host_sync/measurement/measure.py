@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -39,16 +39,7 @@ from host_sync.measurement.quantity import (
     uncertainty_of,
     uncertainty_of_uncertainty,
 )
-from host_sync.measurement.recipe import (
-    AngleTable,
-    CircleTable,
-    DistanceTable,
-    ProfileTable,
-    RadiusTable,
-    Recipe,
-    StepTable,
-    VolumeTable,
-)
+from host_sync.measurement.recipe import Recipe
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.tolerance import NO_PITCH_SIGMA, judged, unmet
 from host_sync.profile.profile_line import Profile
@@ -73,6 +64,16 @@ NOISE_SHARE_UNSURE: Final = 0.2
 
 ROUNDING: Final = 1e-6
 """A spread of so small a share of a number is that of float32."""
+
+MEASURANDS: Final[Mapping[str, tuple[str, Callable[..., Measurand]]]] = {
+    "step": ("height", StepMeasurand),
+    "distance": ("in space", DistanceMeasurand),
+    "angle": ("angle", AngleMeasurand),
+    "radius": ("radius", RadiusMeasurand),
+    "volume": ("void volume", VolumeMeasurand),
+    "circle": ("diameter", CircleMeasurand),
+}
+"""Of a recipe's tables: the number that has the reason where one is not found, and what measures it."""
 
 Numbers = Mapping[str, float]
 
@@ -105,10 +106,14 @@ class _MeasurementPlan:
         self.areal = ArealMeasurand(recipe, height, places, surface.extrapolated)
         made = [_made(table, "profile", ProfileMeasurand, height) for table in recipe.profile]
         self.profiles = [one for one in made if isinstance(one, ProfileMeasurand)]
-        self.failed = [one for one in made if isinstance(one, FailedMeasurand)]
-        self.others: list[Measurand] = [*self.profiles, *_others(recipe, smooth, places), *self.failed]
-        self.failed += [one for one in self.others[len(self.profiles) :] if isinstance(one, FailedMeasurand)]
-        self.failed = list(dict.fromkeys(self.failed))
+        others = [
+            _made(table, label, kind, smooth, places)
+            for name, (label, kind) in MEASURANDS.items()
+            for table in getattr(recipe, name)
+        ]
+        failed = [one for one in made if isinstance(one, FailedMeasurand)]
+        self.others: list[Measurand] = [*self.profiles, *others, *failed]
+        self.failed = [one for one in self.others if isinstance(one, FailedMeasurand)]
         shape = (height.z_um.shape[0], height.z_um.shape[1])
         self.doubts = [self._doubts(surface, one, shape) for one in self.measurands]
         scale = surface.record.height_scale
@@ -163,11 +168,10 @@ class _MeasurementPlan:
 
 
 Made = TypeVar("Made", bound=Measurand)
-TableT = TypeVar("TableT", ProfileTable, StepTable, DistanceTable, AngleTable, RadiusTable, VolumeTable, CircleTable)
 
 
 def _made(
-    table: TableT, label: str, kind: Callable[..., Made], *surface: HeightMap | SkinPlaces
+    table: Any, label: str, kind: Callable[..., Made], *surface: HeightMap | SkinPlaces
 ) -> Made | FailedMeasurand:
     """The measurand of a table, or what says why the result does not show it."""
     try:
@@ -291,21 +295,6 @@ def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float3
         more = {name: float(np.mean([look[index][name] for look in looks])) - numbers[name] for name in names}
         raised.append({name: noise_bias(numbers[name], step) for name, step in more.items() if step > 0.0})
     return raised
-
-
-def _others(recipe: Recipe, height: HeightMap, places: SkinPlaces) -> Iterable[Measurand]:
-    for step in recipe.step:
-        yield _made(step, "height", StepMeasurand, height, places)
-    for distance in recipe.distance:
-        yield _made(distance, "in space", DistanceMeasurand, height, places)
-    for angle in recipe.angle:
-        yield _made(angle, "angle", AngleMeasurand, height, places)
-    for radius in recipe.radius:
-        yield _made(radius, "radius", RadiusMeasurand, height, places)
-    for volume in recipe.volume:
-        yield _made(volume, "void volume", VolumeMeasurand, height, places)
-    for circle in recipe.circle:
-        yield _made(circle, "diameter", CircleMeasurand, height, places)
 
 
 def _stretched(numbers: Numbers, kinds: Mapping[str, ParameterKind], stretch: float) -> Numbers:
