@@ -55,8 +55,6 @@ SHOWN_OBJECTS: Final = ("pebbles", "coin", "step", "texture", "groove", "sphere-
 WIDE_OBJECT: Final = "pebbles"
 ASTRAY: Final = (1.5, -1.0, 6.0)
 """Way of the first touch of a demonstrated search from the spot: mm right, mm down and degrees clockwise."""
-"""What the twin's operator presses, one after another."""
-
 
 KEYS_IN_WORDS: Final = {
     "go('scan')": "Scan",
@@ -282,18 +280,15 @@ class RetroscanApp(App[str]):
 
     def demonstrate(self) -> None:
         """Let the twin's operator press the next object, or follow the way to a spot or over an area."""
-        state = self.instrument.state
+        state, way = self.instrument.state, None
         if state.spot:
-            self._shown = self._objects.get(state.spot.scan_id, self._shown)
-            self.instrument.demonstrate(self._shown, state.spot.way or ASTRAY, pushes=False)
-            return
-        if state.area:
-            self._shown = WIDE_OBJECT
-            self.instrument.demonstrate(self._shown, state.area.way, pushes=False)
-            return
-        self._shown = SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)]
-        self.instrument.demonstrate(self._shown, pushes=False)
-        self._demonstrated += 1
+            self._shown, way = self._objects.get(state.spot.scan_id, self._shown), state.spot.way or ASTRAY
+        elif state.area:
+            self._shown, way = WIDE_OBJECT, state.area.way
+        else:
+            self._shown = SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)]
+            self._demonstrated += 1
+        self.instrument.demonstrate(self._shown, way, pushes=False)
 
     async def action_go(self, place: Place) -> None:
         """Open a screen."""
