@@ -56,7 +56,7 @@ def test_clauses_of_a_camera_on_libcameras_virtual_pipeline(
 ) -> None:
     with stage("camera: clauses"):
         machine.run(SET_UP)
-        answer = machine.ask(RUN, timeout_s=400.0)
+        answer = machine.ask(RUN)
     lines = answer.text.splitlines()
     assert answer.code == 0, answer.text
     assert sum(line.startswith("PASSED") for line in lines) == PASSED, answer.text
