@@ -13,11 +13,12 @@ VERDICTS: Final = ("pass", "fail", "undecided")
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture: caption, PNG bytes, and size in pixels (columns, rows)."""
+    """A picture: caption, PNG bytes, and size in pixels (columns, rows); a sheet of many pictures takes a page."""
 
     caption: str
     png: bytes
     size: tuple[int, int]
+    is_sheet: bool = False
 
 
 @dataclass(frozen=True, slots=True)

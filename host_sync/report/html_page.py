@@ -36,7 +36,8 @@ figcaption { color: #555; font-size: 9pt; }
 tr { break-inside: avoid; } h2 { break-after: avoid; }
 @media print {
   body { margin: 0; padding: 0; max-width: none; font-size: 8.5pt; } h1 { font-size: 15pt; } h2 { font-size: 10pt; }
-  table, .remark, figcaption { font-size: 7.5pt; } img { width: auto; max-height: 120mm; } .footer { display: none; }
+  table, .remark, figcaption { font-size: 7.5pt; } .footer { display: none; }
+  img { width: auto; max-height: 120mm; } img.sheet { max-height: 230mm; }
   .hashes td:last-child, .signature code { font-size: 5.6pt; }
 }
 """
@@ -116,7 +117,8 @@ def _figure(picture: Picture) -> str:
     data = base64.b64encode(picture.png).decode("ascii")
     words = escape(picture.caption)
     columns, rows = picture.size
-    image = f'<img src="data:image/png;base64,{data}" width="{columns}" height="{rows}" alt="{words}">'
+    kind = ' class="sheet"' if picture.is_sheet else ""
+    image = f'<img{kind} src="data:image/png;base64,{data}" width="{columns}" height="{rows}" alt="{words}">'
     return f"<figure>\n{image}\n<figcaption>{words}</figcaption>\n</figure>"
 
 

@@ -139,7 +139,7 @@ def overview_picture(path: Path) -> Iterator[Picture]:
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
     if image is not None:
         caption = "The calibration: its presses, used or not and why, error by place, and the reference read as a scan"
-        yield Picture(caption, png, (image.shape[1], image.shape[0]))
+        yield Picture(caption, png, (image.shape[1], image.shape[0]), is_sheet=True)
 
 
 def relief_picture(measurement: Measurement) -> Picture:

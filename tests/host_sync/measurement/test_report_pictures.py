@@ -1,11 +1,15 @@
-"""The report's picture of a press over time."""
+"""The report's pictures of a press over time and of a calibration."""
+
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from device.bundles.movie import MovieFrameRecord, MovieRecord
 from device.surface.fields import HeightMap
-from host_sync.report.pictures import movie_picture
+from host_sync.report.content import Picture, Report
+from host_sync.report.html_page import html_page
+from host_sync.report.pictures import movie_picture, overview_picture
 
 FIELD = HeightMap(np.zeros((1000, 1400), np.float32), 10.0)
 
@@ -34,3 +38,15 @@ def test_frames_whose_depth_is_unknown_are_counted_not_drawn_as_zero() -> None:
     caption = movie_picture(movie(30), FIELD).caption
     assert caption.startswith("The press over time, 40 frames")
     assert caption.endswith("3 frames without a depth")
+
+
+def test_the_overview_of_a_calibration_takes_the_width_of_a_page(tmp_path: Path) -> None:
+    overview = tmp_path / "overview.png"
+    assert cv2.imwrite(str(overview), np.zeros((2100, 1680, 3), np.uint8))
+    (sheet,) = overview_picture(overview)
+    relief = Picture("relief", sheet.png, (900, 700))
+    page = html_page(Report("one", "none", (), (), (relief, sheet), (), ()))
+    assert page.count('<img class="sheet"') == 1
+    assert '<img class="sheet" src="data:image/png;base64,' in page.partition("<figcaption>relief")[2]
+    overview.write_bytes(b"no picture")
+    assert list(overview_picture(overview)) == []
