@@ -72,6 +72,9 @@ ROUGHNESS_SHRINKAGE: Final = 2.0
 RESTING: Final = 0.1
 """Cells whose slopes keep less than this are at rest."""
 
+MIN_RESTING: Final = 0.02
+"""Fraction of a field's cells that must be at rest for the field to have a zero."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestEvidence:
@@ -93,6 +96,11 @@ class RestEvidence:
     def fraction(self) -> float:
         """Fraction of the field that is at rest."""
         return float((self.kept[self.lit] < RESTING).mean()) if self.lit.any() else 0.0
+
+    @property
+    def has_rest(self) -> bool:
+        """True where enough of the field is at rest to give it a zero."""
+        return bool((self.kept < RESTING).mean() >= MIN_RESTING)
 
     def kept_at(self, shape: tuple[int, int]) -> Float32Array:
         """`kept` at every pixel of an image of `shape` (H, W)."""

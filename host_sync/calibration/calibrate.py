@@ -28,23 +28,13 @@ from host_sync.calibration.balls import (
     check_sizes,
 )
 from host_sync.calibration.consistency import check_reference
-from host_sync.calibration.elevation_response import ElevationResponse
-from host_sync.calibration.elevation_steps import (
-    elevated_balls_of,
-    elevation_left,
-    followed_balls,
-    lamps_that_read_better,
-    lowered_presses,
-    seen_from,
-)
 from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.lamp_drift import PressLevels
-from host_sync.calibration.lamp_elevation import as_read
 from host_sync.calibration.located_presses import flat_field_of, locate_all
+from host_sync.calibration.lowered_balls import LoweredBalls
+from host_sync.calibration.nearby_camera import seen_from
 from host_sync.calibration.press_drift import drift_note, fit_without_drift, without_drift
-from host_sync.calibration.quadric_fit import quadric_that_reads_better
 from host_sync.calibration.radii import without_contradiction
-from host_sync.calibration.shading_model import ShadingModel, fit_shading_model
 from host_sync.calibration.stray_light import with_stray_light
 from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
@@ -53,11 +43,12 @@ from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
-from host_sync.lights.known_lamps import KnownLamps, Position
-from host_sync.lights.lamp_model import FittedLamps
+from host_sync.light.fit import FittedLight
+from host_sync.light.model import Position
+from host_sync.light.presses import held_out_readers
 from host_sync.lights.light_groups import LightGroups
-from host_sync.lights.normal_quadric import FittedQuadric
 from host_sync.results.record import SlopeNoise
+from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 Method = Literal["direct", "paper"]
@@ -65,6 +56,16 @@ METHODS: Final[tuple[Method, ...]] = ("direct", "paper")
 OPEN_CHOICE_DEG: Final = 2.0
 """From this held-out error of the default on, the paper's method is tried beside it without being asked for. It is
 worse on every set of `docs/paper.md`, real or simulated."""
+
+
+NO_HELD_OUT_DEG: Final = 5.0
+"""Error of the inverse map's slopes that is assumed where too few balls were given to hold one out."""
+
+
+def slope_sigma_of(held_out_deg: float | None) -> float:
+    """Return the standard uncertainty of a slope component for a mean angular error, degrees; None if not known."""
+    known_deg = held_out_deg if held_out_deg is not None and np.isfinite(held_out_deg) else NO_HELD_OUT_DEG
+    return float(np.tan(np.radians(known_deg)) / np.sqrt(np.pi / 2.0))
 
 
 def is_open(direct_deg: float) -> bool:
@@ -86,16 +87,12 @@ class Calibration:
     held_out_deg : mean angular error on held-out balls by method, of those that were fitted
     assessment : what the calibration is worth: the scale's ±, coverage, pass or fail
     frame_model : what its frames have in common, by which a foreign frame is refused
-    elevation : what elevation changes, None where it cannot be told apart from nothing; the map reads untouched skin
+    light : the forward model of the sensor's light, by which slopes are refined
+    elevation : at which balls showed each slope, and what another one changes in slopes by the inverse map
     shrinkage : how pixel noise is taken out of frames; None where it cannot be told from detail
     slope_noise : what is left of it in slopes, None without a shrinkage
     null_colour : what takes part of it off slopes of raw frames; None where nothing tells it from detail
-    shading : what each channel shows of a slope, None where the balls do not tell it well enough
-    lamps : where the lamp of each channel stands, None where it is not known
     viewpoint : where the camera looks from, None where it is not known
-    fitted_lamps : lamps that explain the balls, None where none do; slopes are read by them, too
-    quadric : function of the normal, fitted to the balls where no lamps explain them, that corrects slopes; None where
-        it does not help
     press_levels : light of untouched skin in the presses, by which the lamps' drift is told; None where none shows it
     skin_at_rest : how the light of untouched skin differs from frame to frame; None without a reference
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
@@ -114,14 +111,11 @@ class Calibration:
     held_out_deg: dict[Method, float]
     assessment: Assessment
     frame_model: FrameModel
-    elevation: ElevationResponse | None = None
+    light: FittedLight
+    elevation: ElevationCorrection
     shrinkage: DetailShrinkage | None = None
     slope_noise: SlopeNoise | None = None
-    shading: ShadingModel | None = None
-    lamps: KnownLamps | None = None
     viewpoint: Viewpoint | None = None
-    fitted_lamps: FittedLamps | None = None
-    quadric: FittedQuadric | None = None
     press_levels: PressLevels | None = None
     null_colour: NullColour | None = None
     skin_at_rest: SkinAtRest | None = None
@@ -134,16 +128,9 @@ class Calibration:
         return self.assessment.scale.pixel_pitch_sigma_um
 
     @property
-    def uses_single_lights(self) -> bool:
-        """Whether frames of single lights tell it where one is hidden."""
-        return self.shading is not None or self.fitted_lamps is not None
-
-    @property
-    def corrected_by(self) -> str | None:
-        """What corrects the slopes that the map reads; None where nothing does."""
-        if self.fitted_lamps is not None:
-            return "lamps fitted to the balls"
-        return None if self.quadric is None else "a quadratic function of the normal"
+    def prior_sigma(self) -> float:
+        """Standard uncertainty of the inverse map's slopes."""
+        return slope_sigma_of(self.held_out_deg["direct"])
 
     @property
     def preferred(self) -> Method:
@@ -185,7 +172,7 @@ def calibrate(
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
     tell : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
-    lamps_mm : as of `KnownLamps`, by channel; empty where it is not known
+    lamps_mm : places of the sources by channel, as of `Position`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
 
     Raises
@@ -218,7 +205,6 @@ def calibrate(
     if drifts is not None:
         located = without_drift(located, drifts)
     located, begun = without_contradiction(located, begun, light)
-    lamps = KnownLamps.of(lamps_mm, pitch_um) if lamps_mm else None
     viewpoint = None
     # A grid's pitch is that at the balls' tops, as the camera sees it.
     if pupil_height_mm is not None and pitch is None:
@@ -226,19 +212,16 @@ def calibrate(
         tell("fitting it again as the camera sees the balls")
         located = seen_from(located, begun.fit.map, viewpoint)
         begun = fit_to(located, light, begun)
-    elevated = elevated_balls_of(located, begun.fit, flat_field, lamps) if reference else None
-    followed = followed_balls(located, begun.fit, elevated) if elevated else None
-    if followed:
-        tell("fitting it again with every ball at the elevation of untouched skin")
-        located = lowered_presses(located, followed)
-        begun = fit_to(located, light, begun)
+    tell("fitting the light model")
+    positions = np.asarray(lamps_mm, np.float64) * (1e3 / pitch_um / flat_field.shape[1]) if lamps_mm else None
+    lowered = LoweredBalls.of(located, begun.fit, slope_sigma_of(begun.fit.held_out_deg), positions)
+    located = lowered.presses
+    begun = fit_to(located, light, begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     if reference:
         pressed = [(press.intensity, press.balls) for press in located]
         inverse = replace(inverse, map=with_free_skin(inverse.map, pressed))
-    if followed:
-        followed = as_read(followed, inverse.map)
     used = apply_fit(located, inverse)
     kept = [(press.intensity, press.balls) for press in used]
     training = gather_samples(kept)
@@ -254,14 +237,12 @@ def calibrate(
         model = fit_paper_model(training)
         held_out["paper"] = held_out_paper_deg(kept)
     tell("measuring the slope error")
-    over_cells, quadric = lamps_that_read_better(kept, inverse, followed), None
-    fitted_lamps = followed.lamps if followed and over_cells else None
-    if over_cells is None:
-        found = quadric_that_reads_better(kept, inverse, light)
-        quadric, over_cells = found or (None, None)
-    left = elevation_left(kept, training, inverse, elevated, followed)
+    prior_sigma = slope_sigma_of(inverse.held_out_deg)
+    seen = elevation_correction(kept, training, inverse.map)
+    elevation = lowered.elevation(seen)
+    over_cells = held_out_readers(lowered.light, inverse.map, kept, elevation, prior_sigma)
+    left = seen.shared(lowered.light.model.uncertain_fraction(prior_sigma))
     error = measure_slope_error(kept, training, inverse, left, over_cells)
-    response = followed.response if followed else None
     images = [image for image, _ in kept] if reference else []
     levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
     null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
@@ -271,9 +252,7 @@ def calibrate(
         flat_field,
         pitch_um,
         shrinkage,
-        response,
-        fitted_lamps,
-        quadric,
+        lowered.light,
         levels,
         viewpoint,
         noise,
@@ -293,14 +272,11 @@ def calibrate(
         held_out_deg=held_out,
         assessment=assessment,
         frame_model=frame_model,
-        elevation=response,
+        light=lowered.light,
+        elevation=elevation,
         shrinkage=shrinkage,
         slope_noise=noise,
-        shading=fit_shading_model(training, kept),
-        lamps=lamps,
         viewpoint=viewpoint,
-        fitted_lamps=fitted_lamps,
-        quadric=quadric,
         press_levels=levels,
         null_colour=null_colour,
         skin_at_rest=at_rest,
@@ -342,9 +318,7 @@ def _digest(
     flat_field: Float32Array,
     pitch_um: float,
     shrinkage: DetailShrinkage | None = None,
-    elevation: ElevationResponse | None = None,
-    lamps: FittedLamps | None = None,
-    quadric: FittedQuadric | None = None,
+    light: FittedLight | None = None,
     levels: PressLevels | None = None,
     viewpoint: Viewpoint | None = None,
     noise: SlopeNoise | None = None,
@@ -358,13 +332,9 @@ def _digest(
     digest.update(np.ascontiguousarray(flat_field).tobytes())
     if shrinkage is not None:
         digest.update(shrinkage.shrinkage.whitening.tobytes() + shrinkage.shrinkage.threshold.tobytes())
-    if elevation is not None:
-        digest.update(elevation.as_slopes.tobytes())
-    for model in (lamps.model, *lamps.folds) if lamps else ():
+    for model in (light.model, *light.folds) if light else ():
         for field in fields(model):
             digest.update(np.asarray(getattr(model, field.name), np.float64).tobytes())
-    for one in (quadric.model, *quadric.folds) if quadric else ():
-        digest.update(one.coefficients.tobytes() + bytes([one.degree, one.light is not None]))
     if levels is not None:
         told = [*levels.mean, levels.sigma, *([] if levels.stray_sigma is None else [levels.stray_sigma])]
         digest.update(np.array(told).tobytes())

@@ -13,7 +13,7 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.calibration_verdict import DIAMETER, DIAMETER_QUESTION, PIXEL_SHAPE
 from host_sync.calibration.many_lights import calibrate_lights
 from host_sync.calibration.scale import with_stated_pitch
-from host_sync.lights.known_lamps import Position
+from host_sync.light.model import Position
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class CalibrationFrames:
     others : frames that help to stand in for a missing reference
     light_names : of the lights, where they are said
     paper : whether the paper's model is fitted in any case
-    lamps_mm : where the lamp of each channel stands, as of `KnownLamps`; empty where it is not known
+    lamps_mm : where the lamp of each channel stands, as of `Position`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
     states_pixel_shape : the shape of pixels was stated, so that a contradiction is a note only
     states_diameters : balls were given by their diameters, so that no radius can be one

@@ -23,7 +23,7 @@ from device.surface.poisson_dct import integrate_dct
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs, untouched_levels
 from host_sync.gradients.cell_slopes import slopes_of_means
 from host_sync.integration.zero_level import Datum, block_medians, find_datum, trimmed_mean
-from host_sync.lights.surroundings import ALL
+from host_sync.kernels.cell_rows import WHOLE_CELL
 
 ACROSS: Final = 192
 SAMPLES_ALONG: Final = 1024
@@ -170,7 +170,7 @@ class FieldCells:
     def of(cls, image: NormalizedImage) -> FieldCells | None:
         """The cells of a frame; None where they are too few to tell anything."""
         values = in_cells(np.nan_to_num(image.values[samples_of(image.shape)]), image.shape)
-        known = in_cells(image.faithful_at(samples_of(image.shape)).astype(np.float32), image.shape) > ALL
+        known = in_cells(image.faithful_at(samples_of(image.shape)).astype(np.float32), image.shape) > WHOLE_CELL
         return cls(values, known) if min(known.shape) >= MIN_CELLS else None
 
     def datum(self, values: Float32Array, inverse_map: InverseMap) -> Datum:

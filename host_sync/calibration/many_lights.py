@@ -14,7 +14,7 @@ from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
-from host_sync.lights.known_lamps import Position
+from host_sync.light.model import Position
 from host_sync.lights.light_groups import CHANNELS, Group, choose_groups, find_light_groups, in_group
 from host_sync.uncertainty.joined_error import JoinedMaps, joined_slope_error
 

@@ -14,21 +14,18 @@ import msgspec
 import numpy as np
 
 from device.balls.viewpoint import Viewpoint
-from device.inverse_map.illumination import is_node_grid
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import position_exponents
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
 from host_sync.calibration.lamp_drift import PressLevels
-from host_sync.calibration.quadric_fit import DEGREES
 from host_sync.denoising.null_colour import NullColour
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
+from host_sync.light.model import PLACES, TERMS
 from host_sync.lights.matt_lights import NUMBERS_OF_TERMS
-from host_sync.lights.normal_quadric import TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 
@@ -45,11 +42,14 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "SlopeResponse": {"terms": "3 2 3"},
     "LayoutModel": {"rest": "h w 3"},
     "LightPositionModel": {"gradient": "cells 3 2"},
-    "ElevationResponse": {"directions": "n n 2 3", "brightening": "n n 3", "slanting": "n n 2 3", "misread": "n n 9"},
-    "ShadingModel": {"slants": "3 k 2", "bends": "3 l 8", "leaks": "3"},
-    "KnownLamps": {"position_px": "3 3"},
-    "LampModel": {"position": "3 3", "mixing": "3 3", "haze": "3"},
-    "NormalQuadric": {"coefficients": f"{TERMS} places 3"},
+    "FittedLight": {"shift_px": "balls 2"},
+    "LightModel": {
+        "sources": "s 4",
+        "strengths": "3 s",
+        "haze": "3",
+        "residual": f"3 {TERMS} {PLACES}",
+        "sigma": "3",
+    },
     "IlluminationMap": {"nodes": "h w 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
     "SkinAtRest": {"covariance": "h w 3 3", "pooled": "h w 3 3", "roughness": "h w 3", "darkness": "h w 3"},
@@ -94,7 +94,6 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_errors(one.slope_error, one.slope_noise)
         _check_fitted_lights(one)
         _check_viewpoint(one.viewpoint)
-        _check_quadric(one)
         _check_levels(one.press_levels)
         _check_null_colour(one.null_colour)
     _check_lights(calibration)
@@ -208,17 +207,23 @@ def _check_lights(calibration: Calibration) -> None:
 
 
 def _check_fitted_lights(calibration: Calibration) -> None:
-    """Refuse lights that stand on no side of the skin, or a coat that no skin has."""
-    lamps = calibration.fitted_lamps
-    for model in () if lamps is None else (lamps.model, *lamps.folds):
+    """Refuse sources that stand on no side of the skin, or a coat that no skin has."""
+    light = calibration.light
+    for model in (light.model, *light.folds):
         numbers = [value for value in asdict(model).values() if isinstance(value, float)]
         if not (
             model.shape == calibration.flat_field.shape[:2]
             and np.isfinite(numbers).all()
-            and (model.position[:, 2] > 0.0).all()
-            and min(model.gloss_width, model.tail, model.aim) > 0.0
+            and float(model.sources[:, 2].min()) > 0.0
+            and float(model.sigma.min()) > 0.0
+            and float(model.strengths.min()) >= 0.0
+            and float(model.strengths.sum(axis=1).min()) > 0.0
+            and min(model.gloss_width, model.tail) > 0.0
+            and float(np.abs(model.residual).max()) < LARGEST_COEFFICIENT
         ):
-            raise Unsound("lights and a coat that no instrument has")
+            raise Unsound("sources and a coat that no instrument has")
+    if len(light.folds) < MIN_FOLDS:
+        raise Unsound("a light model without folds")
 
 
 def _check_viewpoint(viewpoint: Viewpoint | None) -> None:
@@ -228,22 +233,6 @@ def _check_viewpoint(viewpoint: Viewpoint | None) -> None:
     places = viewpoint.column, viewpoint.row, viewpoint.height_px
     if not (np.isfinite(places).all() and viewpoint.height_px >= MIN_HEIGHT_PX):
         raise Unsound("a camera that does not stand over the skin")
-
-
-def _check_quadric(calibration: Calibration) -> None:
-    """Refuse a quadric of another field, or of other numbers than its degree asks for."""
-    quadric = calibration.quadric
-    if quadric is not None and len(quadric.folds) < MIN_FOLDS:
-        raise Unsound("a function of the normal without folds")
-    for model in () if quadric is None else (quadric.model, *quadric.folds):
-        places = len(position_exponents(model.degree)) if model.degree in DEGREES else 0
-        if not (
-            model.shape == calibration.flat_field.shape[:2]
-            and model.coefficients.shape[1] == places
-            and float(np.abs(model.coefficients).max()) < LARGEST_COEFFICIENT
-            and (model.light is None or (is_node_grid(model.light.nodes, 3) and float(model.light.nodes.min()) > 0.0))
-        ):
-            raise Unsound("a function of the normal that is not of its field")
 
 
 def _check_null_colour(null_colour: NullColour | None) -> None:

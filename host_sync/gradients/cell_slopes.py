@@ -13,8 +13,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField
 from host_sync.gradients.inverse_map_kernel import evaluate
-from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
-from host_sync.lights.surroundings import ALL
+from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_cells
 
 
 def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
@@ -23,7 +22,7 @@ def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> G
     A cell of which more than a thousandth is invalid is invalid: its slope and weight are 0.
     """
     size = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
-    valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > ALL
+    valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > WHOLE_CELL
     row, column = middles_of_cells(size, cell)
     means = np.nan_to_num(means_of_cells(image.values, size, cell), nan=1.0).astype(np.float32)
     slopes = np.where(valid[..., None], inverse_map.on_grid(means, column, row), np.float32(0.0))

@@ -201,3 +201,13 @@ def _reaching_the_border(mask: MaskArray) -> MaskArray:
     reaching[border] = True
     reaching[0] = False
     return np.asarray(reaching[labels])
+
+
+def cell_means(
+    p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
+) -> tuple[Float32Array, Float32Array, MaskArray]:
+    """Mean slopes of cells of `cell` x `cell` pixels, 0 for those without a slope, and which have one."""
+    p_sum, q_sum, count = cell_sums(p, q, valid, cell)
+    known = count > 0.0
+    number: Float32Array = np.maximum(count, np.float32(1.0)).astype(np.float32)
+    return np.asarray(p_sum / number, np.float32), np.asarray(q_sum / number, np.float32), known

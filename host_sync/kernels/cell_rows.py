@@ -20,6 +20,10 @@ WIDEST_CELLS: Final = 256
 """Cells along the columns of a reduced field, at most."""
 
 
+WHOLE_CELL: Final = 0.999
+"""Fraction of a cell's pixels that are faithful in a cell whose intensity counts."""
+
+
 def cell_px(shape: tuple[int, ...]) -> int:
     """Pixels along a cell of a field of `shape` (H, W)."""
     return -(-shape[1] // WIDEST_CELLS)

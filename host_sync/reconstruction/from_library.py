@@ -93,8 +93,7 @@ class LibraryReconstructor:
             detail=self._detail,
             sequence=None if isinstance(sequence, str) else sequence,
         )
-        uses_single_lights = reconstruction.method == "direct" and calibration.uses_single_lights
-        if checks := _exposure_checks(scan, sequence, uses_single_lights=uses_single_lights):
+        if checks := _exposure_checks(scan, sequence, uses_single_lights=reconstruction.method == "direct"):
             reconstruction = replace(reconstruction, frame_checks=(*reconstruction.frame_checks, *checks))
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
         self._tell(f"{name[-10:]}: results")
@@ -135,7 +134,7 @@ def _exposure_checks(
     elif uses_single_lights:
         checks.append(FrameCheck(SINGLE_LIGHTS, "passed"))
     else:
-        checks.append(not_checked(SINGLE_LIGHTS, "this calibration and method read slopes from three lights only"))
+        checks.append(not_checked(SINGLE_LIGHTS, "the paper's method uses no frames of single lights"))
     return tuple(checks)
 
 

@@ -26,7 +26,7 @@ from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
-from host_sync.reconstruction.rest_prior import MIN_RESTING, RestPrior
+from host_sync.reconstruction.rest_prior import RestPrior
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck

@@ -16,7 +16,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.inverse_map.skin_at_rest import RESTING, RestEvidence
+from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
 from device.surface.fields import Float32Array, GradientField, MaskArray
 from host_sync.integration.integrate import integrate
 from host_sync.kernels.parallel_rows import parallel_rows
@@ -30,8 +30,6 @@ CONTACT_ABOVE: Final = 0.6
 """Elevation as a fraction of the highest skin's, up to which skin is free and from which it touches the object."""
 
 HIGHEST_PERCENT: Final = 99.5
-MIN_RESTING: Final = 0.02
-"""Fraction of the field that must be at rest for the prior to apply."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

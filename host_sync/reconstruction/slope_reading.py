@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.inverse_map.skin_at_rest import RestEvidence
-from device.surface.fields import Float32Array, GradientField, MaskArray
+from device.surface.fields import GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.lamp_drift import MAX_DRIFT, take_drift_out
@@ -22,13 +22,9 @@ from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.parallel_rows import BackgroundCall
+from host_sync.light.cell_correction import CellCorrection
+from host_sync.light.reading import correct_slopes
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
-from host_sync.reconstruction.cast_shadow import find_cast_shadow
-from host_sync.reconstruction.cell_correction import CellCorrection
-from host_sync.reconstruction.elevation_correction import correct_elevation
-from host_sync.reconstruction.hidden_skin import find_hidden_skin
-from host_sync.reconstruction.lamp_reading import read_under_lamps
-from host_sync.reconstruction.quadric_reading import read_by_quadric
 from host_sync.results.record import FrameCheck, refusals
 
 
@@ -66,10 +62,7 @@ class ChannelReading:
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
     gradients : slopes of `intensity`, corrected
-    correction : what hidden lights, lamps or a quadric change in slopes of both, at the middles of cells; None where
-        they change nothing
-    z_px : elevation of cells by which `gradients` were corrected before, pixels, float32 array of shape (h, w); None
-        where they were not
+    correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method
     meanwhile : found while the correction was looked for
     rest : where the light is that of skin at rest; None without a reference
     """
@@ -80,7 +73,6 @@ class ChannelReading:
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
     correction: CellCorrection | None
-    z_px: Float32Array | None
     meanwhile: BackgroundCall[Meanwhile]
     rest: RestEvidence | None = None
 
@@ -136,7 +128,6 @@ class SlopeReading:
             if gradients is None:
                 found.append(group.gradients)
                 continue
-            _correct_elevation(gradients, group.calibration, self.method, group.z_px)
             if group.correction is not None:
                 group.correction.apply(gradients)
             found.append(gradients)
@@ -216,12 +207,16 @@ def _read_channels(
         raise_on_warnings(warnings, name, force=force)
     meanwhile = BackgroundCall(Meanwhile.of, raw, intensity, calibration, method, is_first)
     meanwhile.start()
-    z_px = _correct_elevation(gradients, calibration, method)
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
-    correction = cell_correction(gradients, intensity, calibration, method, alone)
-    if correction is not None:
+    correction = None
+    if method == "direct":
+        at_rest, light = calibration.skin_at_rest, calibration.light
+        gain_sigma = None if at_rest is None or rest is None or rest.has_rest else at_rest.gain_sigma
+        correction = correct_slopes(
+            gradients, intensity, light, calibration.prior_sigma, calibration.elevation, alone, gain_sigma
+        )
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, z_px, meanwhile, rest), warnings
+    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, meanwhile, rest), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:
@@ -239,30 +234,6 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
         )
 
 
-def cell_correction(
-    gradients: GradientField,
-    intensity: NormalizedImage,
-    calibration: Calibration,
-    method: Method,
-    alone: Float32Array | None,
-) -> CellCorrection | None:
-    """What the default's slopes gain: by lamps that are known as a whole, else by a quadric of the normal and where a
-    light is hidden.
-    """
-    if method == "paper":
-        return None
-    if calibration.fitted_lamps is not None:
-        return read_under_lamps(gradients, intensity, calibration.fitted_lamps, alone)
-    shadow = None
-    if calibration.shading is not None:
-        shadow = find_cast_shadow(gradients, intensity, calibration.shading, calibration.elevation, alone)
-    elif calibration.lamps is not None:
-        shadow = find_hidden_skin(gradients, calibration.lamps)
-    if calibration.quadric is None:
-        return shadow
-    return read_by_quadric(intensity, calibration.inverse.map, calibration.quadric).with_shadow(shadow)
-
-
 def uncorrected(
     intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
 ) -> GradientField:
@@ -275,16 +246,3 @@ def uncorrected(
     gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
     even_confidence(gradients, intensity.clipped)
     return gradients
-
-
-def _correct_elevation(
-    gradients: GradientField, calibration: Calibration, method: Method, z_px: Float32Array | None = None
-) -> Float32Array | None:
-    """Correct slopes for the skin's elevation in place; returns what `correct_elevation` does, None where the method or
-    the calibration corrects nothing.
-
-    z_px : what this returned for other slopes of the same skin; None where they are the first
-    """
-    if method == "paper" or calibration.elevation is None:
-        return None
-    return correct_elevation(gradients, calibration.elevation, z_px)

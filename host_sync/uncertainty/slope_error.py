@@ -105,18 +105,16 @@ def measure_slope_error(
     known = bool(fit.replicas) or over_cells is not None
     errors = list(_ball_errors(presses, lambda _, __: fit.map))
     bands = _by_band(errors)
-    lit: Sequence[_BallError] = errors
     if over_cells is not None:
         means = over_cells.means_of(presses)
-        errors = list(_ball_errors(means, over_cells.of_all))
-        lit = _on_lit_skin(errors, over_cells.is_lit)
-        others = list(_ball_errors(means, over_cells.of_others))
-        bands = _with_patches_of(bands, _by_band(_on_lit_skin(others, over_cells.is_lit)))
+        errors = list(_ball_errors(means, lambda _, ball: over_cells.reads[ball]))
+        others = list(_ball_errors(means, lambda _, ball: over_cells.without[ball]))
+        bands = _with_patches_of(bands, _by_band(others))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
     noise_deg = float(np.mean([pixel for _, pixel, _ in bands]))
     more = 1.0 if known else inflation.throughout(noise_deg)
-    gains, places = _gains(lit, [tilt for tilt, _, _ in bands])
+    gains, places = _gains(errors, [tilt for tilt, _, _ in bands])
     return SlopeError(
         tilt_deg=tuple(tilt for tilt, _, _ in bands),
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
@@ -136,40 +134,18 @@ class ReadsSlopes(Protocol):
         ...
 
 
-class ReadsFrames(Protocol):
-    """What reads each image's slopes with what is known of that image."""
-
-    def in_frame(self, image: NormalizedImage) -> ReadsSlopes:
-        """What reads this image's slopes."""
-        ...
-
-
-IsLit = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], MaskArray]
-"""Where all lamps reach skin of slopes p and q at columns and rows (pixels); all arrays have one shape."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class OverCells:
     """What reads slopes of means over cells.
 
-    reads : fitted to all balls
-    without : fitted without a ball, by ball in the order of the presses
+    reads : fitted to all balls, by ball in the order of the presses
+    without : the same, fitted without that ball
     size_px : of a cell
-    is_lit : where all light arrives that this counts on; None where that is everywhere
     """
 
-    reads: ReadsFrames
-    without: Sequence[ReadsFrames]
+    reads: Sequence[ReadsSlopes]
+    without: Sequence[ReadsSlopes]
     size_px: int
-    is_lit: IsLit | None = None
-
-    def of_all(self, image: NormalizedImage, _ball: int) -> ReadsSlopes:
-        """What reads an image's slopes, fitted to all balls."""
-        return self.reads.in_frame(image)
-
-    def of_others(self, image: NormalizedImage, ball: int) -> ReadsSlopes:
-        """The same, fitted without the ball of this number."""
-        return self.without[ball].in_frame(image)
 
     def means_of(self, presses: Pressed) -> Pressed:
         """The presses with the mean of a cell around each pixel in its place."""
@@ -281,22 +257,6 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     per_reach = sum(part.slope_variance * part.length_px for part in sums) * 2.0 * np.sqrt(np.pi)
     longest = max(part.length_px for part in sums)
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
-
-
-def _on_lit_skin(errors: Sequence[_BallError], is_lit: IsLit | None) -> Sequence[_BallError]:
-    """The errors where all lamps reach the balls, for elsewhere a scan counts on the other lamps alone; all errors
-    where that leaves fewer than half of the balls, or too few pixels to fill a band.
-    """
-    if is_lit is None:
-        return errors
-    found = []
-    for error in errors:
-        row, column = np.indices(error.inside.shape) + np.reshape(error.corner, (2, 1, 1)).astype(np.float64)
-        lit = error.inside & is_lit(error.truth[0], error.truth[1], column, row)
-        if lit.sum() >= MIN_PIXELS:
-            found.append(replace(error, slope=error.slope * lit, inside=lit))
-    pixels = sum(int(error.inside.sum()) for error in found)
-    return found if 2 * len(found) >= len(errors) and pixels >= MIN_PIXELS * len(TILT_EDGES_DEG) else errors
 
 
 def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes]) -> Iterator[_BallError]:

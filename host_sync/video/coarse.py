@@ -6,7 +6,7 @@ All of these are long waves, so that their cost need not grow with the pixels of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import cv2
 import msgspec
@@ -22,22 +22,14 @@ from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.lights.known_lamps import KnownLamps
-from host_sync.lights.lamp_model import FittedLamps
-from host_sync.lights.normal_quadric import FittedQuadric
-from host_sync.reconstruction.cell_correction import CellCorrection
-from host_sync.reconstruction.elevation_correction import correct_elevation
+from host_sync.light.cell_correction import CellCorrection
+from host_sync.light.reading import correct_slopes
 from host_sync.reconstruction.perspective import seen_slopes
 from host_sync.reconstruction.rest_prior import RestPrior
-from host_sync.reconstruction.slope_reading import cell_correction, uncorrected
+from host_sync.reconstruction.slope_reading import uncorrected
 
 WIDEST_PX: Final = 384
 """Columns of a coarse frame, at most."""
-
-ELEVATION_CELLS: Final = 128
-"""Cells along a coarse frame's columns on which elevation is found, at most: it is a longer wave still."""
-
-Fitted = TypeVar("Fitted", FittedLamps, FittedQuadric)
 
 
 def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float32Array) -> Calibration:
@@ -46,15 +38,7 @@ def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float3
     reference, flat_field : untouched skin at that size, and what frames are divided by
     """
     finer = reference.shape[1] / calibration.flat_field.shape[1]
-    error, elevation, lamps = calibration.slope_error, calibration.elevation, calibration.lamps
-    if elevation is not None:
-        per_px = np.float32(1.0 / finer)
-        elevation = replace(
-            elevation,
-            brightening=per_px * elevation.brightening,
-            slanting=per_px * elevation.slanting,
-            misread=None if elevation.misread is None else per_px * elevation.misread,
-        )
+    error = calibration.slope_error
     return replace(
         calibration,
         flat_field=flat_field,
@@ -64,20 +48,10 @@ def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float3
         slope_error=msgspec.structs.replace(
             error, patch_px=error.patch_px * finer, elevation=error.elevation.enlarged(finer)
         ),
-        elevation=elevation,
-        lamps=None if lamps is None else KnownLamps(lamps.position_px * finer),
+        elevation=calibration.elevation.enlarged(finer),
         viewpoint=None if calibration.viewpoint is None else calibration.viewpoint.enlarged(finer),
-        fitted_lamps=_for_shape(calibration.fitted_lamps, reference.shape),
-        quadric=_for_shape(calibration.quadric, reference.shape),
+        light=calibration.light.for_shape(reference.shape),
     )
-
-
-def _for_shape(fitted: Fitted | None, shape: tuple[int, int]) -> Fitted | None:
-    """Return what was fitted to balls for the same field at (H, W) pixels: its lengths are in widths of the field."""
-    if fitted is None:
-        return None
-    folds = tuple(replace(fold, shape=shape) for fold in fitted.folds)
-    return replace(fitted, model=replace(fitted.model, shape=shape), folds=folds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,11 +130,12 @@ def read_coarse(
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
     correction = None
     if method == "direct":
-        if calibration.elevation is not None:
-            correct_elevation(gradients, calibration.elevation, widest_cells=ELEVATION_CELLS)
-        correction = cell_correction(gradients, image, calibration, method, None)
-        if correction is not None:
-            correction.apply(gradients)
+        at_rest, light = calibration.skin_at_rest, calibration.light
+        gain_sigma = None if at_rest is None or evidence is None or evidence.has_rest else at_rest.gain_sigma
+        correction = correct_slopes(
+            gradients, image, light, calibration.prior_sigma, calibration.elevation, gain_sigma=gain_sigma
+        )
+        correction.apply(gradients)
     gain_p, gain_q = gradients.p - read_p, gradients.q - read_q
     weight = np.asarray(gradients.weight / np.maximum(sure, np.float32(1e-12)), np.float32)
     prior = None

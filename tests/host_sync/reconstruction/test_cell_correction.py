@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from device.surface.fields import GradientField
-from host_sync.reconstruction.cell_correction import CellCorrection
+from host_sync.light.cell_correction import CellCorrection
 
 CELL = 4
 SIZE = (20, 30)

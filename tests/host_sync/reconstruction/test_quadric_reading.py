@@ -14,7 +14,7 @@ from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, GradientField
 from host_sync.kernels.cell_rows import cell_px, middles_of_cells
 from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
-from host_sync.reconstruction.cell_correction import CellCorrection, SlopePair
+from host_sync.light.cell_correction import CellCorrection, SlopePair
 from host_sync.reconstruction.quadric_reading import read_by_quadric
 
 CELL = cell_px(SHAPE)

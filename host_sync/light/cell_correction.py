@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, GradientField
+from device.surface.fields import Float32Array, GradientField
 from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.lights.lamp_slopes import INTENSITY_SIGMA, SURFACE_SIGMA, gauss_newton_step
-from host_sync.uncertainty.calibration_uncertainty import jackknifed
 
 SlopePair = tuple[Float32Array, Float32Array]
-
-LEVEL: Final = (0.005, 0.015)
-"""Slopes up to the first are left as they are read, from the second on they are corrected in full; under fitted lamps
-level skin is read at the end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,53 +61,10 @@ class CellCorrection:
         parallel_rows(_write_confidence, weight.shape, planes, self.cell, gradients.weight, weight)
         return replace(gradients, weight=weight)
 
-    def with_shadow(self, shadow: CellCorrection | None) -> CellCorrection:
-        """This correction where every light arrives, and that of a shadow, over the same cells, where one does not."""
-        if shadow is None:
-            return self
-        lit = np.float32(1.0) - shadow.shadow
-        p, q = lit * self.p + shadow.p, lit * self.q + shadow.q
-        alone = shadow.shadow if self.left_alone is None else np.maximum(self.left_alone, shadow.shadow)
-        return replace(shadow, p=p, q=q, unsure=self.unsure, left_alone=alone)
-
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
         p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
         return np.asarray(p, np.float32), np.asarray(q, np.float32)
-
-
-def steepness(slope: Float64Array) -> Float64Array:
-    """How much slopes (h, w, 2) are to be corrected, for they are not level: 0 to 1, shape (h, w)."""
-    return np.asarray(np.clip((np.linalg.norm(slope, axis=-1) - LEVEL[0]) / (LEVEL[1] - LEVEL[0]), 0.0, 1.0))
-
-
-def unsure_cells(
-    here: np.ndarray, size: tuple[int, int], change: Float64Array, less: Sequence[Float64Array]
-) -> SlopePair:
-    """By how much slopes of `size` (h, w) cells differ from fold to fold: deviations as of `CellCorrection.unsure`.
-
-    here : numbers of the N cells that are corrected; the others are sure
-    change : of their intensity with slopes, shape (N, 3, 2)
-    less : for every fold by how much less than all folds together it shows there, shape (N, 3)
-    """
-    p, q = (jackknifed(part) for part in moved_cells(here, size, change, less))
-    return p, q
-
-
-def moved_cells(
-    here: np.ndarray, size: tuple[int, int], change: Float64Array, missing: Sequence[Float64Array]
-) -> SlopePair:
-    """Slopes p and q that explain intensities which are missing, each of them at once: float32 arrays (K, h, w).
-
-    here, size, change : as of `unsure_cells`
-    missing : K arrays of shape (N, 3)
-    """
-    weight, level = np.full((len(here), 3), INTENSITY_SIGMA**-2), np.zeros((len(here), 2))
-    moves = np.zeros((len(missing), size[0] * size[1], 2), np.float32)
-    for move, own in zip(moves, missing, strict=True):
-        move[here] = gauss_newton_step(change, weight, own, level, SURFACE_SIGMA)
-    p, q = (moves[..., axis].reshape(-1, *size) for axis in (0, 1))
-    return p, q
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,424 @@
+"""Errors of the intensity of balls' pixels, their derivatives, and damped Gauss-Newton steps: see `fit`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from device.balls.sphere import Ball, BallSamples
+from device.surface.fields import Float64Array, MaskArray
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.light.kernels import write_light
+from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms, source_points
+
+SAMPLES: Final = 3000
+FOLDS: Final = 6
+STEEPEST_QUANTILE: Final = 0.98
+"""Quantile of the samples' slopes up to which they count as seen."""
+
+FIRST_SIGMA: Final = 0.03
+MIN_SIGMA: Final = 0.004
+OUTLYING: Final = 4.0
+"""Standard deviations at which an error counts half."""
+CENTRE_SIGMA: Final = 0.015
+"""Prior standard deviation of a centre's error, relative to the ball's radius."""
+PRIOR_SAMPLES: Final = 300.0
+"""Samples that priors of sources and coat outweigh."""
+GENTLE: Final = 0.35
+"""Slopes up to which samples place the first sources."""
+ROUNDS: Final = 25
+TOLERANCE: Final = 1e-4
+DAMPINGS: Final = 8
+STEP: Final = 1e-4
+CENTRE_STEP_PX: Final = 0.05
+_COAT: Final = ("fall_off", "roughness", "gloss", "log_width", "log_tail", "tilt_gain", "beam")
+_COAT_START: Final = np.array([2.0, 0.3, 0.1, np.log(0.35), np.log(2.0), 0.0, 0.2])
+_COAT_SIGMA: Final = np.array([1.0, 0.5, 0.3, 0.5, 1.0, 0.15, 0.5])
+_COAT_LOW: Final = np.array([0.0, 0.0, 0.0, np.log(0.08), 0.0, -0.9, 0.0])
+_COAT_HIGH: Final = np.array([4.0, 1.0, 0.95, np.log(0.8), np.log(60.0), 2.0, 1.0])
+_LOW_UP: Final = np.log(0.04)
+_HIGH_UP: Final = np.log(5.0)
+_FARTHEST: Final = 4.0
+_OF_SOURCES: Final = ("place", "length", "strength", "haze", "albedo", "coat")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """Numbers of a model with S sources and C channels, and shifts of the balls' centres."""
+
+    place: Float64Array
+    length: Float64Array
+    strength: Float64Array
+    haze: Float64Array
+    albedo: Float64Array
+    coat: Float64Array
+    shift: Float64Array
+    residual: Float64Array
+
+    def packed(self) -> Float64Array:
+        """Return all numbers in their order."""
+        return np.concatenate([np.ravel(getattr(self, one.name)) for one in fields(self)])
+
+    def unpacked(self, values: Float64Array) -> Numbers:
+        """The same numbers with other values, kept within what a sensor can have."""
+        found, at = {}, 0
+        for one in fields(self):
+            own = getattr(self, one.name)
+            found[one.name] = values[at : at + own.size].reshape(own.shape).copy()
+            at += own.size
+        np.clip(found["place"][:, :2], -_FARTHEST, _FARTHEST, out=found["place"][:, :2])
+        np.clip(found["place"][:, 2], _LOW_UP, _HIGH_UP, out=found["place"][:, 2])
+        np.clip(found["length"], 0.0, 2.0, out=found["length"])
+        np.clip(found["coat"], _COAT_LOW, _COAT_HIGH, out=found["coat"])
+        for name in ("strength", "haze", "albedo"):
+            np.maximum(found[name], 0.0, out=found[name])
+        return Numbers(**found)
+
+    @property
+    def sources(self) -> Float64Array:
+        """Sources as of `LightModel`."""
+        return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.length[:, None]], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """Samples whose intensity a model predicts; lengths in pixels but for x and y.
+
+    rows : numbers of the samples among all
+    incoming : light from around over that at rest, shape (N, C)
+    sigma : float64 array of shape (C,), standard deviation of the intensity's error
+    steepest : slope up to which the samples are dense
+    residual_sigma : prior standard deviation of the residual's coefficients
+    stage : what is searched for besides the balls' centres; the other numbers stay
+    """
+
+    rows: np.ndarray
+    intensity: Float64Array
+    column: Float64Array
+    row: Float64Array
+    x: Float64Array
+    y: Float64Array
+    ball: np.ndarray
+    balls: Sequence[Ball]
+    apex_px: Float64Array
+    shape: tuple[int, int]
+    camera: float
+    incoming: Float64Array
+    places: Float64Array
+    sigma: Float64Array
+    steepest: float
+    residual_sigma: float = 0.003
+    stage: Literal["sources", "residual"] = "sources"
+
+    @classmethod
+    def of(
+        cls, samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
+    ) -> Bundle:
+        """Return at most `SAMPLES` of the samples, with skin around that is level; arguments as of `fit_light`."""
+        rows = np.random.default_rng(0).permutation(len(samples.p))[:SAMPLES]
+        column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
+        x, y = (column - 0.5 * (shape[1] - 1)) / shape[1], (row - 0.5 * (shape[0] - 1)) / shape[1]
+        seen = samples.taught[rows].astype(np.float64)
+        tilted = 1.0 - 1.0 / np.sqrt(1.0 + samples.p[rows] ** 2 + samples.q[rows] ** 2)
+        floor = np.repeat(0.5 * tilted[:, None].astype(np.float64), seen.shape[1], axis=1)
+        viewpoint = balls[0].viewpoint
+        camera = 0.0 if viewpoint is None else shape[1] / viewpoint.height_px
+        return cls(
+            rows, seen, column, row, x, y, samples.ball[rows], balls, np.array(apexes_px), shape, camera, floor,
+            place_terms(x, y, shape), np.full(seen.shape[1], FIRST_SIGMA),
+            float(np.quantile(np.hypot(samples.p, samples.q), STEEPEST_QUANTILE)),
+        )  # fmt: skip
+
+    def sphere(self, shift: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Slopes and elevations, in widths of the field, of the samples' balls."""
+        centre = (np.array([[one.column, one.row] for one in self.balls]) + shift)[self.ball]
+        radius = np.array([one.radius_px for one in self.balls])[self.ball]
+        apex, viewpoint = self.apex_px[self.ball], self.balls[0].viewpoint
+        pixel = np.stack([self.column, self.row])
+        across, down = pixel - centre.T
+        if viewpoint is not None:
+            across, down = viewpoint.offsets_from_axis(pixel, centre.T, radius, apex)
+        rise = np.sqrt(np.maximum(radius**2 - across**2 - down**2, 1.0))
+        return -across / rise, -down / rise, (apex - radius + rise) / self.shape[1]
+
+    def start(self, height: float, length: float, positions: Float64Array | None) -> Numbers:
+        """One source a channel, in the direction that gentle slopes show."""
+        channels = self.intensity.shape[1]
+        p, q, _ = self.sphere(np.zeros((len(self.balls), 2)))
+        gentle = np.hypot(p, q) < GENTLE
+        terms = np.stack([p, q, self.x * p, self.y * p, self.x * q, self.y * q], axis=-1)[gentle]
+        lit = self.intensity[gentle] * np.sqrt(1.0 + p * p + q * q)[gentle, None] - 1.0
+        slants = np.clip(np.linalg.lstsq(terms, lit, rcond=None)[0][:2], -3.0, 3.0)
+        place = np.concatenate([-height * slants.T, np.full((channels, 1), np.log(height))], axis=1)
+        if positions is not None:
+            place = np.concatenate([positions[:, :2], np.log(np.maximum(positions[:, 2:], 0.05))], axis=1)
+        return Numbers(
+            place,
+            np.full(channels, length),
+            0.9 * np.eye(channels) + 0.1 / channels,
+            np.full(channels, 0.01),
+            np.array([0.3]),
+            _COAT_START.copy(),
+            np.zeros((len(self.balls), 2)),
+            np.zeros((channels, TERMS * PLACES)),
+        )
+
+    def model(self, numbers: Numbers) -> LightModel:
+        """The model of these numbers."""
+        fall_off, roughness, gloss, width, tail, tilt_gain, beam = numbers.coat.tolist()
+        residual = numbers.residual.reshape(len(numbers.haze), TERMS, PLACES)
+        return LightModel(
+            self.shape, numbers.sources, numbers.strength, numbers.haze, float(numbers.albedo[0]), fall_off, roughness,
+            gloss, float(np.exp(width)), float(np.exp(tail)), tilt_gain, beam, self.camera, residual, self.sigma,
+            self.steepest,
+        )  # fmt: skip
+
+    def errors(self, numbers: Numbers) -> Float64Array:
+        """Predicted less seen intensity, shape (N, C)."""
+        return self._terms(numbers).shown - self.intensity
+
+    def _terms(self, numbers: Numbers) -> _Terms:
+        p, q, z = self.sphere(numbers.shift)
+        model, level = self.model(numbers), np.zeros_like(p)
+        light, rest = model.light(p, q, self.x, self.y, z), model.light(level, level, self.x, self.y, level)
+        mixed, at_rest = model.mixed(light), np.maximum(model.mixed(rest), 1e-6)
+        features = (residual_terms(p, q, z)[:, :, None] * self.places[:, None]).reshape(len(p), -1)
+        shown = mixed / at_rest + model.albedo * self.incoming + features @ numbers.residual.T
+        return _Terms(np.nan_to_num(shown, nan=30.0), p, q, z, light, rest, mixed / at_rest, at_rest, features)
+
+    def _source_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
+        """Derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
+        model, level = self.model(numbers), np.zeros_like(terms.p)
+        skin, ground = (terms.p, terms.q, self.x, self.y, terms.z), (level, level, self.x, self.y, level)
+        moved = []
+        for source in range(len(numbers.place)):
+            own = []
+            for axis in range(4):
+                place, length = numbers.place[source : source + 1].copy(), numbers.length[source : source + 1].copy()
+                if axis < 3:
+                    place[0, axis] += STEP
+                else:
+                    length[0] += STEP
+                at = np.concatenate([place[:, :2], np.exp(place[:, 2:]), length[:, None]], axis=1)
+                change, below = (
+                    (_one_light(at, model, part)[:, 0] - before[:, source]) / STEP
+                    for part, before in ((skin, terms.light), (ground, terms.rest))
+                )
+                less = change[:, None] - terms.ratio * below[:, None]
+                own.append(less * model.strengths[:, source] / terms.at_rest)
+            moved.append(own)
+        for own in moved:
+            yield from own[:3]
+        for own in moved:
+            yield own[3]
+        channels = self.intensity.shape[1]
+        for channel in range(channels):
+            for source in range(len(numbers.place)):
+                change = np.zeros_like(terms.shown)
+                less = terms.light[:, source] - terms.ratio[:, channel] * terms.rest[:, source]
+                change[:, channel] = less / terms.at_rest[:, channel]
+                yield change
+        for channel in range(channels):
+            change = np.zeros_like(terms.shown)
+            change[:, channel] = (1.0 - terms.ratio[:, channel]) / terms.at_rest[:, channel]
+            yield change
+        yield self.incoming
+        for number in range(len(_COAT)):
+            coat = numbers.coat.copy()
+            coat[number] += STEP
+            other = self.model(replace(numbers, coat=coat))
+            yield (other.mixed(other.light(*skin)) / other.mixed(other.light(*ground)) - terms.ratio) / STEP
+
+    def _shift_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
+        """Derivatives of the intensity (N, C) by the shifts of centres."""
+        shifted = []
+        for axis in (0, 1):
+            shift = numbers.shift.copy()
+            shift[:, axis] += CENTRE_STEP_PX
+            shifted.append((self._terms(replace(numbers, shift=shift)).shown - terms.shown) / CENTRE_STEP_PX)
+        for ball in range(len(self.balls)):
+            for axis in (0, 1):
+                yield shifted[axis] * (self.ball == ball)[:, None]
+
+    def _prior(self, numbers: Numbers) -> tuple[Float64Array, Float64Array]:
+        """Expected values of all numbers, and weights of their differences from them."""
+        weight = len(self.ball) / PRIOR_SAMPLES
+        radius = np.array([one.radius_px for one in self.balls])
+        expected = replace(
+            numbers, length=np.full_like(numbers.length, 0.2), haze=np.zeros_like(numbers.haze),
+            albedo=np.array([0.4]), coat=_COAT_START, shift=np.zeros_like(numbers.shift),
+            residual=np.zeros_like(numbers.residual),
+        )  # fmt: skip
+        sigmas = replace(
+            numbers, place=np.full_like(numbers.place, 10.0), length=np.full_like(numbers.length, 0.5),
+            strength=np.ones_like(numbers.strength), haze=np.full_like(numbers.haze, 0.05), albedo=np.array([0.5]),
+            coat=_COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
+            residual=np.full_like(numbers.residual, self.residual_sigma * np.sqrt(weight)),
+        )  # fmt: skip
+        return expected.packed(), weight / sigmas.packed() ** 2
+
+    def _free(self, numbers: Numbers) -> slice:
+        """The numbers that are searched for, among all: shifts and what stands before or after them."""
+        before = sum(getattr(numbers, name).size for name in _OF_SOURCES)
+        return slice(0, before + numbers.shift.size) if self.stage == "sources" else slice(before, None)
+
+    def solve(self, numbers: Numbers) -> Numbers:
+        """Return the numbers of the smallest cost near these."""
+        damping, cost, free = 1e-3, self._cost(numbers), self._free(numbers)
+        for _ in range(ROUNDS):
+            system, gradient, _ = self._system(numbers)
+            for _ in range(DAMPINGS):
+                damped = system + damping * np.diag(np.diag(system))
+                values = numbers.packed()
+                values[free] -= np.linalg.solve(damped, gradient)
+                there = numbers.unpacked(values)
+                reached = self._cost(there)
+                if reached < cost:
+                    break
+                damping *= 6.0
+            else:
+                return numbers
+            done = cost - reached < TOLERANCE * cost
+            numbers, cost, damping = there, reached, max(damping / 6.0, 1e-6)
+            if done:
+                break
+        return numbers
+
+    def _cost(self, numbers: Numbers) -> float:
+        error = self.errors(numbers) / self.sigma
+        expected, weight = self._prior(numbers)
+        robust = OUTLYING**2 * np.log1p(np.square(error / OUTLYING))
+        return float(robust.sum() + (weight * np.square(numbers.packed() - expected)).sum())
+
+    def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, _Jacobian]:
+        """Normal equations of the numbers that are searched for, and the derivatives that they are made of."""
+        terms = self._terms(numbers)
+        error = terms.shown - self.intensity
+        columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []
+        columns += self._shift_columns(numbers, terms)
+        features = terms.features if self.stage == "residual" else terms.features[:, :0]
+        weight = 1.0 / (self.sigma**2 + np.square(error / OUTLYING))
+        jacobian = _Jacobian(np.stack(columns, axis=-1), features, error, weight)
+        system, gradient = jacobian.normal_equations(np.ones(len(self.ball), np.bool_))
+        expected, prior = (part[self._free(numbers)] for part in self._prior(numbers))
+        system[np.diag_indices_from(system)] += prior
+        return system, gradient + prior * (numbers.packed()[self._free(numbers)] - expected), jacobian
+
+    def without(self, numbers: Numbers) -> Iterator[tuple[int, Numbers]]:
+        """Numbers without each fold of balls, by one step of the normal equations without it."""
+        system, gradient, jacobian = self._system(numbers)
+        for fold in range(min(FOLDS, len(self.balls))):
+            less, lost = jacobian.normal_equations(self.ball % FOLDS == fold)
+            rest = system - less
+            rest[np.diag_indices_from(rest)] *= 1.0 + 1e-6
+            values = numbers.packed()
+            values[self._free(numbers)] -= np.linalg.solve(rest, gradient - lost)
+            yield fold, numbers.unpacked(values)
+
+    def held_out(self, numbers: Numbers) -> float:
+        """Return the robust error of held-out balls, in standard deviations."""
+        error = self.held_out_errors(numbers) / self.sigma
+        return float(np.sqrt((OUTLYING**2 * np.log1p(np.square(error / OUTLYING))).mean()))
+
+    def held_out_errors(self, numbers: Numbers) -> Float64Array:
+        """Return errors of the intensity of every ball without its fold, shape (N, C)."""
+        found = self.errors(numbers)
+        for fold, without in self.without(numbers):
+            here = self.ball % FOLDS == fold
+            found[here] = self.errors(replace(without, shift=numbers.shift))[here]
+        return found
+
+    def with_sigma_of(self, numbers: Numbers) -> Bundle:
+        """Return the bundle with the standard deviations that a fit leaves."""
+        sigma = 1.4826 * np.median(np.abs(self.errors(numbers)), axis=0)
+        return replace(self, sigma=np.maximum(sigma, MIN_SIGMA))
+
+    def with_source(self, numbers: Numbers) -> Numbers:
+        """Return the numbers with one source more a channel, where it explains most of what is left."""
+        terms, model = self._terms(numbers), self.model(numbers)
+        missing = self.intensity - terms.shown
+        weight = 1.0 / (self.sigma**2 + np.square(missing / OUTLYING))
+        angle, near, slant = np.meshgrid(np.arange(16) * (np.pi / 8), (0.4, 0.8), (0.25, 0.6, 1.2), indexing="ij")
+        places = np.stack([near * np.cos(angle), near * np.sin(angle), near * slant], axis=-1).reshape(-1, 3)
+        tried = np.concatenate([places, np.full((len(places), 1), 0.2)], axis=1)
+        level = np.zeros_like(terms.p)
+        light = _one_light(tried, model, (terms.p, terms.q, self.x, self.y, terms.z))
+        rest = _one_light(tried, model, (level, level, self.x, self.y, level))
+        chosen, strengths = [], np.zeros((missing.shape[1], missing.shape[1]))
+        for channel in range(missing.shape[1]):
+            change = (light - terms.ratio[:, channel, None] * rest) / terms.at_rest[:, channel, None]
+            weighted = weight[:, channel, None] * change
+            bright = (weighted * missing[:, channel, None]).sum(axis=0) / np.maximum(
+                (weighted * change).sum(axis=0), 1e-12
+            )
+            gain = np.maximum(bright, 0.0) * (weighted * missing[:, channel, None]).sum(axis=0)
+            best = int(np.argmax(gain))
+            chosen.append(tried[best])
+            strengths[channel, channel] = np.clip(bright[best], 0.0, 0.3)
+        added = np.array(chosen)
+        place = np.concatenate([added[:, :2], np.log(added[:, 2:3])], axis=1)
+        return replace(
+            numbers, place=np.concatenate([numbers.place, place]), length=np.append(numbers.length, added[:, 3]),
+            strength=np.concatenate([numbers.strength, strengths], axis=1),
+        )  # fmt: skip
+
+    def without_sources(self, numbers: Numbers) -> Numbers:
+        """Return the numbers of a model whose residual field explains all."""
+        first = self.start(0.35, 0.45, None)
+        return replace(
+            first, strength=np.full_like(first.strength, 1e-3), haze=np.ones_like(first.haze), shift=numbers.shift,
+            albedo=np.zeros(1),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Terms:
+    """Parts of the predicted intensity: of samples (N,), light of sources (N, S), channels (N, C)."""
+
+    shown: Float64Array
+    p: Float64Array
+    q: Float64Array
+    z: Float64Array
+    light: Float64Array
+    rest: Float64Array
+    ratio: Float64Array
+    at_rest: Float64Array
+    features: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Jacobian:
+    """Derivatives of the intensity of samples (N,) in channels (C,), and its weighted errors.
+
+    shared : by numbers that all channels share, or of one channel, shape (N, C, K)
+    features : by the residual's coefficients of any channel, shape (N, F)
+    error, weight : of the predicted intensity, shape (N, C)
+    """
+
+    shared: Float64Array
+    features: Float64Array
+    error: Float64Array
+    weight: Float64Array
+
+    def normal_equations(self, rows: MaskArray) -> tuple[Float64Array, Float64Array]:
+        """Return the system and the gradient of some rows."""
+        count, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
+        system = np.zeros((count + channels * own, count + channels * own))
+        gradient = np.zeros(len(system))
+        for channel in range(channels):
+            where = np.append(np.arange(count), count + channel * own + np.arange(own))
+            jacobian = np.concatenate([self.shared[rows, channel], self.features[rows]], axis=1)
+            weighted = jacobian * self.weight[rows, channel, None]
+            system[np.ix_(where, where)] += weighted.T @ jacobian
+            gradient[where] += weighted.T @ self.error[rows, channel]
+        return system, gradient
+
+
+def _one_light(sources: Float64Array, model: LightModel, skin: tuple[Float64Array, ...]) -> Float64Array:
+    """Return the light of sources (S, 4) on a model's coat: shape (N, S)."""
+    out = np.empty((len(skin[0]), len(sources)))
+    parallel_rows(write_light, (len(out), 64), *source_points(sources, model.fall_off), model.coat, *skin, out)
+    return out

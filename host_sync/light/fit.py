@@ -1,0 +1,103 @@
+"""Calibration of the light model: a bundle adjustment of sources, coat, albedo, residual field and ball centres.
+
+Damped Gauss-Newton steps minimise robust errors of the intensity of the balls' pixels together with broad priors
+(Triggs et al., "Bundle adjustment", 2000). Sources are added and the prior of the residual field is widened as long as
+that lowers the error of held-out balls, which follows from the normal equations without those balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from device.balls.sphere import Ball, BallSamples
+from device.surface.fields import Float64Array
+from host_sync.light.bundle import Bundle, Numbers
+from host_sync.light.model import LightModel
+
+STARTS: Final = ((0.35, 0.45), (0.5, 0.2))
+"""Height and length of the sources, in widths of the field, from which searches begin."""
+MAX_ADDED: Final = 2
+"""Sources that are added to the first one of each channel, at most."""
+RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Prior standard deviations of the residual field's coefficients that are tried."""
+OUTLIER_BOUND: Final = 6.0
+"""Standard deviations that bound a held-out error."""
+
+MIN_GAIN: Final = 0.98
+"""Held-out error, relative to that before, which a model with more freedom must reach."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedLight:
+    """The light model of a calibration.
+
+    model : fitted to all balls
+    folds : fitted without every K-th ball, from each of the first K on
+    shift_px : float64 array of shape (balls, 2), what the fit adds to each centre's column and row
+    """
+
+    model: LightModel
+    folds: tuple[LightModel, ...]
+    shift_px: Float64Array
+
+    def without(self, ball: int) -> LightModel:
+        """Return the model without the fold of the ball of this number."""
+        return self.folds[ball % len(self.folds)]
+
+    def for_shape(self, shape: tuple[int, int]) -> FittedLight:
+        """Return the model of the same field at (H, W) pixels: its lengths are in widths of the field."""
+        folds = tuple(replace(fold, shape=shape) for fold in self.folds)
+        return replace(self, model=replace(self.model, shape=shape), folds=folds)
+
+
+def fit_light(
+    samples: BallSamples,
+    incoming: Callable[[LightModel], Float64Array],
+    balls: Sequence[Ball],
+    apexes_px: Sequence[float],
+    shape: tuple[int, int],
+    positions: Float64Array | None = None,
+) -> FittedLight:
+    """Return the light model that balls of a full-size field of `shape` (H, W) show.
+
+    samples : of the balls
+    incoming : light from skin around the samples over that at rest, shape (N, C), for a model of the light at rest
+    apexes_px : elevation of each ball's apex over skin at rest, pixels
+    positions : stated places of the sources, shape (C, 3), in widths of the field; None where they are not known
+    """
+    bundle = Bundle.of(samples, balls, apexes_px, shape)
+    searches = [bundle.solve(bundle.start(*start, positions)) for start in STARTS]
+    found = min(searches, key=lambda one: float(np.square(bundle.errors(one)).mean()))
+    model = bundle.model(found)
+    bundle = replace(bundle, incoming=incoming(model)[bundle.rows])
+    bundle = bundle.with_sigma_of(found)
+    found = bundle.solve(found)
+    held_out = bundle.held_out(found)
+    for _ in range(MAX_ADDED):
+        more = bundle.solve(bundle.with_source(found))
+        again = bundle.held_out(more)
+        if again > MIN_GAIN * held_out:
+            break
+        found, held_out = more, again
+        bundle = bundle.with_sigma_of(found)
+        held_out = bundle.held_out(found)
+    fits = [_with_residual(bundle, numbers) for numbers in (found, bundle.without_sources(found))]
+    bundle, found = min(fits, key=lambda fit: fit[0].held_out(fit[1]))
+    errors, bound = bundle.held_out_errors(found), OUTLIER_BOUND * bundle.sigma
+    sigma = np.sqrt(np.square(np.clip(errors, -bound, bound)).mean(axis=0))
+    folds = tuple(replace(bundle.model(without), sigma=sigma) for _, without in bundle.without(found))
+    return FittedLight(replace(bundle.model(found), sigma=sigma), folds, found.shift)
+
+
+def _with_residual(bundle: Bundle, numbers: Numbers) -> tuple[Bundle, Numbers]:
+    """Return the fit with a residual field over fixed sources, of the prior that held-out balls prefer."""
+    fits = []
+    for sigma in RESIDUAL_SIGMAS:
+        wider = replace(bundle, residual_sigma=sigma, stage="residual")
+        numbers = wider.solve(numbers)
+        fits.append((wider.held_out(numbers), wider, numbers))
+    return min(fits, key=lambda fit: fit[0])[1:]

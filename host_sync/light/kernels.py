@@ -1,0 +1,165 @@
+"""Light of strip sources on a rough and glossy coat, source by source: the kernels of `LightModel`."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from host_sync.kernels.jit import njit
+
+GRAZING: Final = 0.05
+"""Cosine below which reflection is not followed further: the models of rough skin end before."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_light(
+    points: Any, axes: Any, coat: Any, p: Any, q: Any, x: Any, y: Any, z: Any, light: Any, first: int, last: int
+) -> None:
+    """Write the light that each source adds into the rows `first` to `last` - 1 of `light`, (N, S).
+
+    points : of each source, position and brightness, shape (S, points, 4), in widths of the field
+    axes : of the sources' beams, shape (S, 3)
+    coat : as of `LightModel.coat`
+    p, q, x, y, z : slopes and places, shape (N,)
+    """
+    for i in range(first, last):
+        v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
+        up = 1.0 / np.sqrt(1.0 + p[i] * p[i] + q[i] * q[i])
+        n0, n1 = -p[i] * up, -q[i] * up
+        seen = max(n0 * v0 + n1 * v1 + up * v2, GRAZING)
+        tilted = 1.0 + coat[6] * (1.0 - up)
+        for source in range(points.shape[0]):
+            total = 0.0
+            for point in range(points.shape[1]):
+                l0, l1, l2, bright = ray_to(points[source, point], axes[source], coat, x[i], y[i], z[i])
+                lit = max(n0 * l0 + n1 * l1 + up * l2, 0.0)
+                total += bright * reflected(lit, seen, l0 * v0 + l1 * v1 + l2 * v2, coat)
+            light[i, source] = tilted * total
+
+
+@njit(cache=True, error_model="numpy")
+def to_camera(camera: Any, x: Any, y: Any, z: Any) -> Any:
+    """Direction from a place to the camera."""
+    across, down, up = -camera * x, -camera * y, 1.0 - camera * z
+    length = np.sqrt(across * across + down * down + up * up)
+    return across / length, down / length, up / length
+
+
+@njit(cache=True, error_model="numpy")
+def ray_to(point: Any, axis: Any, coat: Any, x: Any, y: Any, z: Any) -> Any:
+    """Direction from a place to a point of a source, and the irradiance of a surface that faces it."""
+    across, down, up = point[0] - x, point[1] - y, point[2] - z
+    square = across * across + down * down + up * up
+    length = np.sqrt(square)
+    across, down, up = across / length, down / length, up / length
+    facing = max(axis[0] * across + axis[1] * down + axis[2] * up, 0.0)
+    beam = coat[7]
+    return across, down, up, point[3] * ((1.0 - beam) + beam * facing) * square ** (-0.5 * coat[0])
+
+
+@njit(cache=True, error_model="numpy")
+def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
+    """Share of a ray that a coat reflects: of cosines between normal and light, normal and camera, light and camera."""
+    even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
+    together = max(between - lit * seen, 0.0) / max(max(lit, seen), GRAZING)
+    rough = lit * (even + uneven * together)
+    if gloss == 0.0:
+        return rough
+    half = min((lit + seen) / np.sqrt(2.0 + 2.0 * between), 1.0)
+    off = (1.0 - half * half) * 2.0 * (1.0 / narrow - 1.0) / tail
+    facets = (1.0 + off) ** -tail / (np.pi * narrow)
+    unmasked = 2.0 * lit / (lit + np.sqrt(narrow + (1.0 - narrow) * lit * lit) + 1e-9)
+    unmasked *= 2.0 * seen / (seen + np.sqrt(narrow + (1.0 - narrow) * seen * seen) + 1e-9)
+    shining = facets * unmasked / max(4.0 * seen, GRAZING)
+    return (1.0 - gloss) * rough + gloss * shining
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_search(
+    sources: Any, skin: Any, seen: Any, prior: Any, limits: Any, steps: int, slope: Any, change: Any, weight: Any,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Move the rows `first` to `last` - 1 of `slope`, (N, 2), by Gauss-Newton steps to the largest posterior.
+
+    sources : points, axes and coat as of `write_light`; strengths (C, S), haze (C,) and the monomials' exponents (M, 2)
+    skin : places x, y and z, shape (N,); light at rest (N, C), visible fractions (N, S), incoming light over that at
+        rest (N, C) and the residual's coefficients (N, C, M + 1)
+    seen : intensity and the variance of its prediction, shape (N, C)
+    prior : slopes expected beforehand, shape (N, 2), and one over their variance, shape (N,)
+    limits : slope by which derivatives are taken, longest step, standard uncertainty of light that another place hides
+        as a fraction of it, and standard deviations at which an error counts half, and `ELEVATION`
+    change : receives the derivatives of intensity, shape (N, C, 2)
+    weight : receives one over the variance that each channel was given in the last step, shape (N, C)
+    """
+    points, axes, coat, strengths, haze, exponents = sources
+    x, y, z, rest, visible, incoming, residual = skin
+    intensity, variance = seen
+    expected, known = prior
+    delta, longest, hidden_sigma, outlying, elevation = limits
+    count, channels, terms = points.shape[0], strengths.shape[0], exponents.shape[0]
+    rays, normal = np.empty((count, points.shape[1], 5)), np.empty((3, 4))
+    light, shown, dark = np.empty((3, count)), np.empty((3, channels)), np.empty(channels)
+    powers = np.empty((2, 5))
+    for i in range(first, last):
+        v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
+        for source in range(count):
+            for point in range(points.shape[1]):
+                l0, l1, l2, bright = ray_to(points[source, point], axes[source], coat, x[i], y[i], z[i])
+                rays[source, point, 0], rays[source, point, 1], rays[source, point, 2] = l0, l1, l2
+                rays[source, point, 3], rays[source, point, 4] = l0 * v0 + l1 * v1 + l2 * v2, bright
+        for _ in range(steps):
+            for k in range(3):
+                p = slope[i, 0] + delta * (k == 1)
+                q = slope[i, 1] + delta * (k == 2)
+                up = 1.0 / np.sqrt(1.0 + p * p + q * q)
+                normal[k, 0], normal[k, 1], normal[k, 2] = -p * up, -q * up, up
+                normal[k, 3] = max(-p * up * v0 - q * up * v1 + up * v2, GRAZING)
+            for source in range(count):
+                for k in range(3):
+                    total = 0.0
+                    for point in range(points.shape[1]):
+                        lit = normal[k, 0] * rays[source, point, 0] + normal[k, 1] * rays[source, point, 1]
+                        lit = max(lit + normal[k, 2] * rays[source, point, 2], 0.0)
+                        total += rays[source, point, 4] * reflected(lit, normal[k, 3], rays[source, point, 3], coat)
+                    light[k, source] = total * (1.0 + coat[6] * (1.0 - normal[k, 2]))
+            for channel in range(channels):
+                dark[channel] = 0.0
+                for k in range(3):
+                    total = haze[channel]
+                    for source in range(count):
+                        total += strengths[channel, source] * visible[i, source] * light[k, source]
+                    shown[k, channel] = total / rest[i, channel] + incoming[i, channel]
+                for source in range(count):
+                    dark[channel] += strengths[channel, source] * (1.0 - visible[i, source]) * light[0, source]
+                dark[channel] /= rest[i, channel]
+            for k in range(3):
+                powers[0, 0] = powers[1, 0] = 1.0
+                for order in range(1, 5):
+                    powers[0, order] = powers[0, order - 1] * normal[k, 0]
+                    powers[1, order] = powers[1, order - 1] * normal[k, 1]
+                for term in range(terms):
+                    value = powers[0, exponents[term, 0]] * powers[1, exponents[term, 1]]
+                    for channel in range(channels):
+                        shown[k, channel] += residual[i, channel, term] * value
+                for channel in range(channels):
+                    shown[k, channel] += residual[i, channel, terms] * z[i] / elevation
+            pp, pq, qq = known[i], 0.0, known[i]
+            along_p, along_q = known[i] * (expected[i, 0] - slope[i, 0]), known[i] * (expected[i, 1] - slope[i, 1])
+            for channel in range(channels):
+                by_p = (shown[1, channel] - shown[0, channel]) / delta
+                by_q = (shown[2, channel] - shown[0, channel]) / delta
+                error = intensity[i, channel] - shown[0, channel]
+                spread = variance[i, channel] + (hidden_sigma * dark[channel]) ** 2
+                counts = 1.0 / (spread + error * error / (outlying * outlying))
+                pp += counts * by_p * by_p
+                pq += counts * by_p * by_q
+                qq += counts * by_q * by_q
+                along_p += counts * error * by_p
+                along_q += counts * error * by_q
+                change[i, channel, 0], change[i, channel, 1], weight[i, channel] = by_p, by_q, counts
+            determinant = pp * qq - pq * pq
+            across, down = (qq * along_p - pq * along_q) / determinant, (pp * along_q - pq * along_p) / determinant
+            bound = min(1.0, longest / max(np.sqrt(across * across + down * down), 1e-9))
+            slope[i, 0] += bound * across
+            slope[i, 1] += bound * down

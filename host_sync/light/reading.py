@@ -1,0 +1,113 @@
+"""Slopes of a frame by the light model: what the inverse map's slopes gain over cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from device.imaging.flat_field import NormalizedImage
+from device.surface.fields import Float32Array, Float64Array, GradientField
+from host_sync.integration.datum import cell_means
+from host_sync.kernels.cell_rows import WHOLE_CELL, cell_px, means_of_cells, middles_of_cells
+from host_sync.light.bent_cells import slopes_hidden_by_means
+from host_sync.light.cell_correction import CellCorrection, SlopePair
+from host_sync.light.cells import SHADOW_WEIGHT, Cells, CellSlopes
+from host_sync.light.fit import FittedLight
+from host_sync.light.raised_field import RaisedField, intensity_changes, solve_raised
+from host_sync.uncertainty.calibration_uncertainty import jackknifed
+from host_sync.uncertainty.elevation import ElevationCorrection
+
+SHADOW_SIGMA: Final = 0.12
+"""Standard uncertainty of what slopes gain in shadow, as a fraction of it, wrong all at once."""
+
+ARRIVES: Final = (0.03, 0.12)
+"""Intensity under a single light over that of skin at rest: up to the first it is hidden, from the second it is not."""
+
+LEVEL: Final = 0.005
+"""Slope up to which the calibration's uncertainty is negligible."""
+
+
+def correct_slopes(
+    gradients: GradientField,
+    image: NormalizedImage,
+    light: FittedLight,
+    prior_sigma: float,
+    elevation: ElevationCorrection,
+    alone: Float32Array | None = None,
+    gain_sigma: float | None = None,
+) -> CellCorrection:
+    """Return what slopes (H, W) by the inverse map gain.
+
+    prior_sigma : standard uncertainty of these slopes, on held-out balls
+    elevation : at which balls showed slopes, and what another elevation changes
+    alone : intensity of each channel under its own light alone, shape (H, W, C); None where single lights were not
+        taken
+    gain_sigma : standard deviation of a frame's gains where light shows that no skin rests; None where some does
+    """
+    cell = cell_px(gradients.p.shape)
+    p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
+    size = p.shape[0], p.shape[1]
+    bend = slopes_hidden_by_means(gradients, size, cell).reshape(-1, 2)
+    intensity = means_of_cells(image.values, size, cell).reshape(bend.shape[0], -1)
+    whole = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell).ravel()
+    faithful = (whole > WHOLE_CELL) & known.ravel() & np.isfinite(intensity).all(axis=1)
+    start = np.stack([p, q], axis=-1).astype(np.float64).reshape(-1, 2) - bend
+    arriving = None
+    if alone is not None:
+        shown = means_of_cells(alone, size, cell).reshape(bend.shape[0], -1)
+        arriving = np.clip((shown - ARRIVES[0]) / (ARRIVES[1] - ARRIVES[0]), 0.0, 1.0)
+    known_intensity = np.where(faithful[:, None], intensity, 1.0)
+    columns, rows = np.meshgrid(*middles_of_cells(size, cell)[::-1])
+    places = columns.ravel(), rows.ravel()
+    cells = Cells(
+        light.model, size, cell, *places, known_intensity, faithful, start, bend, prior_sigma, elevation, arriving
+    )
+    found = cells.solve()
+    raised = None if gain_sigma is None else solve_raised(cells, found, gain_sigma)
+    if raised is not None:
+        cells, found = raised.cells, raised.found
+    change = np.where(faithful[:, None], found.slope - start, 0.0).astype(np.float32).reshape(*size, 2)
+    p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
+    shadow = found.shadow.astype(np.float32).reshape(size)
+    unsure = np.float32(SHADOW_SIGMA) * shadow
+    return CellCorrection(
+        p_change,
+        q_change,
+        unsure * p_change,
+        unsure * q_change,
+        shadow,
+        cell,
+        SHADOW_WEIGHT,
+        partial(_deviations, cells, found, light, raised),
+        (~faithful).astype(np.float32).reshape(size),
+        has_rest=raised is None,
+    )
+
+
+def _deviations(cells: Cells, found: CellSlopes, light: FittedLight, raised: RaisedField | None) -> SlopePair:
+    """Return deviations of slopes p and q, float32 arrays of shape (K, h, w), whose squares add to a variance."""
+    sloped = np.linalg.norm(found.slope, axis=1) > LEVEL
+    here = np.flatnonzero(cells.faithful & (sloped | (raised is not None)))
+    x, y, z = cells.places(found.z_px)
+    places = x[here], y[here], z[here]
+    slope, incoming = found.slope[here], found.incoming[here]
+    shown, design = intensity_changes(cells, found, here)
+    change, weight = found.change[here], found.weight[here]
+    system = np.einsum("ncj,nc,nck->njk", change, weight, change) + np.eye(2) / cells.prior_sigma**2
+
+    def moves(missing: Sequence[Float64Array]) -> SlopePair:
+        found = np.zeros((len(missing), cells.size[0] * cells.size[1], 2), np.float32)
+        for move, part in zip(found, missing, strict=True):
+            gradient = np.einsum("ncj,nc,nc->nj", change, weight, part)
+            move[here] = np.linalg.solve(system, gradient[..., None])[..., 0]
+        p, q = (found[..., axis].reshape(-1, *cells.size) for axis in (0, 1))
+        return p, q
+
+    p, q = map(jackknifed, moves([shown - model.intensity(slope, places, incoming) for model in light.folds]))
+    if raised is None:
+        return p, q
+    risen = moves([-design @ deviation for deviation in raised.deviations])
+    return np.concatenate([p, risen[0]]), np.concatenate([q, risen[1]])
