@@ -10,6 +10,7 @@ import numpy as np
 
 from device.calibration.candidates import NOISE_KEPT
 from device.imaging.flat_field import LinearFrame
+from device.inverse_map.skin_at_rest import MIN_RESTING
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
