@@ -85,12 +85,14 @@ class RestEvidence:
     lit : bool array of shape (h, w), cells whose reference is bright enough to divide by; others count as at rest
     gains : float64 array of shape (3,), logarithm of each channel's gain over the calibration
     offsets : float64 array of shape (3,), added light, fraction of full scale
+    gain_sigma : standard deviation of the gains from frame to frame
     """
 
     kept: Float32Array
     lit: MaskArray
     gains: Float64Array
     offsets: Float64Array
+    gain_sigma: float
 
     @property
     def fraction(self) -> float:
@@ -188,7 +190,8 @@ class SkinAtRest:
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
         gentle = _distance(_pooled(left, np.ones(size, np.bool_)), self.pooled)
         kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))
-        return RestEvidence(_hanging_together(np.where(self._lit, kept, np.float32(0.0))), self._lit, gains, offsets)
+        calm = _hanging_together(np.where(self._lit, kept, np.float32(0.0)))
+        return RestEvidence(calm, self._lit, gains, offsets, self.gain_sigma)
 
     @property
     def noise(self) -> float:

@@ -53,7 +53,7 @@ class LoweredBalls:
         pressed = [(press.intensity, press.balls) for press in used]
         apexes = [apex_px for image, balls in pressed if balls for apex_px in apexes_px(image, balls, fit.map)]
         light = fit_light_of_presses(pressed, fit.map, apexes, positions)
-        remaining = 1.0 - light.model.source_fraction * (1.0 - light.model.uncertain_fraction(prior_sigma))
+        remaining = 1.0 - light.model.believed_fraction(prior_sigma)
         places = iter(zip(apexes, light.shift_px, strict=True))
         numbers = count()
         lowered = []

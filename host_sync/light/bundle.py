@@ -23,10 +23,14 @@ FIRST_SIGMA: Final = 0.03
 MIN_SIGMA: Final = 0.004
 OUTLYING: Final = 4.0
 """Standard deviations at which an error counts half."""
+OUTLIER_BOUND: Final = 6.0
+"""Standard deviations that bound a held-out error."""
 CENTRE_SIGMA: Final = 0.015
 """Prior standard deviation of a centre's error, relative to the ball's radius."""
 PRIOR_SAMPLES: Final = 300.0
 """Samples that priors of sources and coat outweigh."""
+FIRST_HEIGHT: Final = 0.3
+"""Height of a source's own, relative to its elevation, from which the search begins."""
 GENTLE: Final = 0.35
 """Slopes up to which samples place the first sources."""
 ROUNDS: Final = 25
@@ -42,7 +46,9 @@ _COAT_HIGH: Final = np.array([4.0, 1.0, 0.95, np.log(0.8), np.log(60.0), 2.0, 1.
 _LOW_UP: Final = np.log(0.04)
 _HIGH_UP: Final = np.log(5.0)
 _FARTHEST: Final = 4.0
-_OF_SOURCES: Final = ("place", "length", "strength", "haze", "albedo", "coat")
+_LARGEST: Final = (2.0, 1.6)
+"""Bounds of the places of sources, and of their length and height."""
+_OF_SOURCES: Final = ("place", "extent", "strength", "haze", "albedo", "coat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +56,7 @@ class Numbers:
     """Numbers of a model with S sources and C channels, and shifts of the balls' centres."""
 
     place: Float64Array
-    length: Float64Array
+    extent: Float64Array
     strength: Float64Array
     haze: Float64Array
     albedo: Float64Array
@@ -71,7 +77,7 @@ class Numbers:
             at += own.size
         np.clip(found["place"][:, :2], -_FARTHEST, _FARTHEST, out=found["place"][:, :2])
         np.clip(found["place"][:, 2], _LOW_UP, _HIGH_UP, out=found["place"][:, 2])
-        np.clip(found["length"], 0.0, 2.0, out=found["length"])
+        np.clip(found["extent"], 0.0, _LARGEST, out=found["extent"])
         np.clip(found["coat"], _COAT_LOW, _COAT_HIGH, out=found["coat"])
         for name in ("strength", "haze", "albedo"):
             np.maximum(found[name], 0.0, out=found[name])
@@ -80,7 +86,7 @@ class Numbers:
     @property
     def sources(self) -> Float64Array:
         """Sources as of `LightModel`."""
-        return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.length[:, None]], axis=1)
+        return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.extent], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +163,7 @@ class Bundle:
             place = np.concatenate([positions[:, :2], np.log(np.maximum(positions[:, 2:], 0.05))], axis=1)
         return Numbers(
             place,
-            np.full(channels, length),
+            np.repeat([[length, FIRST_HEIGHT]], channels, axis=0),
             0.9 * np.eye(channels) + 0.1 / channels,
             np.full(channels, 0.01),
             np.array([0.3]),
@@ -173,7 +179,7 @@ class Bundle:
         return LightModel(
             self.shape, numbers.sources, numbers.strength, numbers.haze, float(numbers.albedo[0]), fall_off, roughness,
             gloss, float(np.exp(width)), float(np.exp(tail)), tilt_gain, beam, self.camera, residual, self.sigma,
-            self.steepest,
+            self.sigma, self.steepest,
         )  # fmt: skip
 
     def errors(self, numbers: Numbers) -> Float64Array:
@@ -196,13 +202,10 @@ class Bundle:
         moved = []
         for source in range(len(numbers.place)):
             own = []
-            for axis in range(4):
-                place, length = numbers.place[source : source + 1].copy(), numbers.length[source : source + 1].copy()
-                if axis < 3:
-                    place[0, axis] += STEP
-                else:
-                    length[0] += STEP
-                at = np.concatenate([place[:, :2], np.exp(place[:, 2:]), length[:, None]], axis=1)
+            for axis in range(5):
+                one = np.concatenate([numbers.place[source], numbers.extent[source]])[None]
+                one[0, axis] += STEP
+                at = np.concatenate([one[:, :2], np.exp(one[:, 2:3]), one[:, 3:]], axis=1)
                 change, below = (
                     (_one_light(at, model, part)[:, 0] - before[:, source]) / STEP
                     for part, before in ((skin, terms.light), (ground, terms.rest))
@@ -213,7 +216,7 @@ class Bundle:
         for own in moved:
             yield from own[:3]
         for own in moved:
-            yield own[3]
+            yield from own[3:]
         channels = self.intensity.shape[1]
         for channel in range(channels):
             for source in range(len(numbers.place)):
@@ -248,12 +251,12 @@ class Bundle:
         weight = len(self.ball) / PRIOR_SAMPLES
         radius = np.array([one.radius_px for one in self.balls])
         expected = replace(
-            numbers, length=np.full_like(numbers.length, 0.2), haze=np.zeros_like(numbers.haze),
+            numbers, extent=np.full_like(numbers.extent, 0.2), haze=np.zeros_like(numbers.haze),
             albedo=np.array([0.4]), coat=_COAT_START, shift=np.zeros_like(numbers.shift),
             residual=np.zeros_like(numbers.residual),
         )  # fmt: skip
         sigmas = replace(
-            numbers, place=np.full_like(numbers.place, 10.0), length=np.full_like(numbers.length, 0.5),
+            numbers, place=np.full_like(numbers.place, 10.0), extent=np.full_like(numbers.extent, 0.5),
             strength=np.ones_like(numbers.strength), haze=np.full_like(numbers.haze, 0.05), albedo=np.array([0.5]),
             coat=_COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
             residual=np.full_like(numbers.residual, self.residual_sigma * np.sqrt(weight)),
@@ -323,6 +326,11 @@ class Bundle:
         error = self.held_out_errors(numbers) / self.sigma
         return float(np.sqrt((OUTLYING**2 * np.log1p(np.square(error / OUTLYING))).mean()))
 
+    def held_out_sigma(self, numbers: Numbers) -> Float64Array:
+        """Return the root mean square of held-out errors that are bounded: shape (C,)."""
+        bound = OUTLIER_BOUND * self.sigma
+        return np.asarray(np.sqrt(np.square(np.clip(self.held_out_errors(numbers), -bound, bound)).mean(axis=0)))
+
     def held_out_errors(self, numbers: Numbers) -> Float64Array:
         """Return errors of the intensity of every ball without its fold, shape (N, C)."""
         found = self.errors(numbers)
@@ -343,7 +351,7 @@ class Bundle:
         weight = 1.0 / (self.sigma**2 + np.square(missing / OUTLYING))
         angle, near, slant = np.meshgrid(np.arange(16) * (np.pi / 8), (0.4, 0.8), (0.25, 0.6, 1.2), indexing="ij")
         places = np.stack([near * np.cos(angle), near * np.sin(angle), near * slant], axis=-1).reshape(-1, 3)
-        tried = np.concatenate([places, np.full((len(places), 1), 0.2)], axis=1)
+        tried = np.concatenate([places, np.full((len(places), 2), 0.2)], axis=1)
         level = np.zeros_like(terms.p)
         light = _one_light(tried, model, (terms.p, terms.q, self.x, self.y, terms.z))
         rest = _one_light(tried, model, (level, level, self.x, self.y, level))
@@ -361,7 +369,8 @@ class Bundle:
         added = np.array(chosen)
         place = np.concatenate([added[:, :2], np.log(added[:, 2:3])], axis=1)
         return replace(
-            numbers, place=np.concatenate([numbers.place, place]), length=np.append(numbers.length, added[:, 3]),
+            numbers, place=np.concatenate([numbers.place, place]),
+            extent=np.concatenate([numbers.extent, added[:, 3:]]),
             strength=np.concatenate([numbers.strength, strengths], axis=1),
         )  # fmt: skip
 

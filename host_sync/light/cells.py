@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from device.inverse_map.skin_at_rest import RESTING
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
@@ -35,6 +36,9 @@ HIDDEN_SIGMA: Final = 0.3
 OUTLYING: Final = 4.0
 """Standard deviations at which an error of the intensity counts half."""
 
+REST_INFORMATION: Final = 100.0
+"""Weight of a slope of skin at rest in the integration, relative to that of others."""
+
 IN_SHADOW: Final = 0.3
 """Hidden fraction of a channel's light from which a cell lies in shadow."""
 
@@ -55,7 +59,10 @@ class Cells:
     start : slopes by the inverse map, float64 array of shape (N, 2)
     bend : what the mean light of a cell hides of its slope (`bent_cells`), shape (N, 2)
     prior_sigma : standard uncertainty of `start` at the elevations that balls showed
+    believed : fraction of what elevation changes by the model that `start` is corrected for
     elevation : those elevations, and what others change; None where they do not matter
+    kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), as of `RestEvidence`;
+        None where it shows none
     arriving : fraction of each channel's light that arrives as frames of single lights show, shape (N, C); None
         without such frames
     """
@@ -70,7 +77,9 @@ class Cells:
     start: Float64Array
     bend: Float64Array
     prior_sigma: float
+    believed: float = 0.0
     elevation: ElevationCorrection | None = None
+    kept: Float32Array | None = None
     arriving: Float64Array | None = None
 
     def solve(self) -> CellSlopes:
@@ -97,7 +106,8 @@ class Cells:
         change, weight = np.empty((*self.intensity.shape, 2)), np.empty_like(self.intensity)
         counted = np.where(self.faithful[:, None], self.intensity, np.nan_to_num(found.shown, nan=1.0))
         hidden = found.shadow[:, None]
-        expected = (1.0 - hidden) * self.start + hidden * found.surface
+        start = self.start - self.believed * found.misread
+        expected = (1.0 - hidden) * start + hidden * found.surface
         known = self.prior_weight(found)
         exponents = np.array(MONOMIALS, np.intp)
         sources = (*model.geometry, model.coat, model.strengths, model.haze, exponents)
@@ -113,11 +123,34 @@ class Cells:
 
     def prior_weight(self, found: CellSlopes) -> Float64Array:
         """Return one over the variance of `start`, which the inverse map read at other elevations, shape (N,)."""
+        doubt = 1.0 - self.believed
         square = np.square(found.slope).sum(axis=1)
-        if self.elevation is None:
-            return np.full(len(square), self.prior_sigma**-2)
-        gain = self.elevation.steeper(found.z_px.ravel(), square.astype(np.float32)).astype(np.float64)
-        return np.asarray(1.0 / (self.prior_sigma**2 + square * gain**2))
+        variance = self.prior_sigma**2 + doubt**2 * np.square(found.unseen).sum(axis=1)
+        if self.elevation is not None:
+            gain = self.elevation.steeper(found.z_px.ravel(), square.astype(np.float32)).astype(np.float64)
+            variance += square * (doubt * gain) ** 2
+        return np.asarray(1.0 / variance)
+
+    def _misread(self, found: CellSlopes) -> tuple[Float64Array, Float64Array]:
+        """Return by how much `start` is off at other elevations than 0 and under other light around than balls have.
+
+        Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show.
+        """
+        model = self.model
+        square = np.square(found.slope).sum(axis=1)
+        shown = np.zeros(len(square))
+        if self.elevation is not None:
+            shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
+        x, y, z = self.places(found.z_px)
+        p, q = found.slope.T
+        system = np.einsum("ncj,nc,nck->njk", found.change, found.weight, found.change) + np.eye(2) / self.prior_sigma**2
+        around = model.albedo * (found.incoming - _light_of_floor(square)[:, None])
+        here, slopes = model.light(p, q, x, y, z) * found.visible, []
+        for below in (np.zeros_like(x), shown):
+            change = (here - model.light(p, q, x, y, below)) @ model.strengths.T / model.rest(x, y) + around
+            gradient = np.einsum("ncj,nc,nc->nj", found.change, found.weight, change)
+            slopes.append(np.linalg.solve(system, gradient[..., None])[..., 0])
+        return slopes[0], slopes[1]
 
     def _with_heights(self, found: CellSlopes, solver: Integrator, elevation_px: float | None = None) -> CellSlopes:
         """Return heights of the slopes, and what arrives of the light over them.
@@ -127,15 +160,15 @@ class Cells:
         model, size = self.model, self.size
         mean = (found.slope + self.bend).reshape(*size, 2)
         p, q = (np.ascontiguousarray(mean[..., axis], np.float32) for axis in (0, 1))
-        weight = (1.0 - (1.0 - SHADOW_WEIGHT) * found.shadow) * np.where(self.faithful, 1.0, 0.1)
-        everywhere = np.ones(size, np.bool_)
-        field = GradientField(p, q, everywhere, weight.reshape(size).astype(np.float32))
+        certain = 1.0 - (1.0 - SHADOW_WEIGHT) * found.shadow
+        weight = np.where(self.faithful, certain, 0.1).reshape(size).astype(np.float32)
+        if self.kept is not None:
+            p, q = self.kept * p, self.kept * q
+            weight *= np.float32(1.0) + np.float32(REST_INFORMATION) * (np.float32(1.0) - self.kept) ** 4
+        field = GradientField(p, q, np.ones(size, np.bool_), weight)
         height = solver.integrate(field, float(self.cell))[0]
         height = HeightMap(height.z_um.copy(), float(self.cell))
-        if elevation_px is None:
-            z_px = np.asarray(np.nan_to_num(find_datum(height, field).level(height).z_um), np.float32)
-        else:
-            z_px = np.asarray(height.z_um + np.float32(elevation_px - np.median(height.z_um)), np.float32)
+        z_px = np.asarray(height.z_um + np.float32(self._shift_px(height, field, elevation_px)), np.float32)
         surface = np.stack(surface_slopes(height), axis=-1).astype(np.float64).reshape(-1, 2) - self.bend
         visible = visible_fraction(z_px, self.cell, model).reshape(len(found.slope), -1)
         if self.arriving is not None:
@@ -148,10 +181,19 @@ class Cells:
         light = model.light(p_cell, q_cell, x, y, z_px.ravel() / model.shape[1])
         dark = ((light * (1.0 - visible)) @ model.strengths.T / rest).max(axis=1)
         shadow = np.clip(dark / IN_SHADOW, 0.0, 1.0)
-        return replace(
-            found, z_px=z_px, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming,
-            shadow=shadow,
-        )  # fmt: skip
+        found = replace(
+            found, z_px=z_px, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming, shadow=shadow
+        )
+        misread, unseen = self._misread(found)
+        return replace(found, misread=misread, unseen=unseen)
+
+    def _shift_px(self, height: HeightMap, field: GradientField, elevation_px: float | None) -> float:
+        """Return what heights gain for skin at rest, or for their median, to have a given elevation."""
+        if elevation_px is not None:
+            return elevation_px - float(np.median(height.z_um))
+        if self.kept is not None:
+            return -float(np.median(height.z_um[self.kept <= max(RESTING, float(self.kept.min()))]))
+        return -find_datum(height, field).zero_um
 
     def places(self, z_px: Float32Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Return the places of the cells at elevations (h, w)."""
@@ -169,6 +211,8 @@ class CellSlopes:
     shadow : how much of a cell's light is hidden, 0 to 1, shape (N,)
     shown : intensity that stands for that of cells which are not known, shape (N, C)
     z_px : elevation, float32 array of shape (h, w)
+    misread, unseen : by how much `start` is off at other elevations than 0 and under other light around than balls
+        have, and what of it the balls did not show, shape (N, 2)
     """
 
     slope: Float64Array
@@ -180,15 +224,21 @@ class CellSlopes:
     shadow: Float64Array
     shown: Float64Array
     z_px: Float32Array
+    misread: Float64Array
+    unseen: Float64Array
 
     @classmethod
     def level(cls, cells: Cells) -> CellSlopes:
         """Return what is known before the search: the inverse map's slopes of unshaded skin over a level floor."""
         count, channels = cells.intensity.shape
-        tilted = 1.0 - 1.0 / np.sqrt(1.0 + (cells.start**2).sum(axis=1))
-        floor = np.repeat(0.5 * tilted[:, None], channels, axis=1)
+        floor = np.repeat(_light_of_floor((cells.start**2).sum(axis=1))[:, None], channels, axis=1)
         return cls(
             cells.start.copy(), np.zeros((count, channels, 2)), np.zeros((count, channels)), cells.start,
             np.ones((count, len(cells.model.sources))), floor, np.zeros(count), np.ones((count, channels)),
-            np.zeros(cells.size, np.float32),
+            np.zeros(cells.size, np.float32), np.zeros_like(cells.start), np.zeros_like(cells.start),
         )  # fmt: skip
+
+
+def _light_of_floor(square: Float64Array) -> Float64Array:
+    """Return the light from level skin around that reaches skin of slopes with this p² + q², over the light at rest."""
+    return np.asarray(0.5 * (1.0 - 1.0 / np.sqrt(1.0 + square)))

@@ -24,8 +24,8 @@ MAX_ADDED: Final = 2
 """Sources that are added to the first one of each channel, at most."""
 RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Prior standard deviations of the residual field's coefficients that are tried."""
-OUTLIER_BOUND: Final = 6.0
-"""Standard deviations that bound a held-out error."""
+UNKNOWN: Final = 1e3
+"""Standard deviation of an intensity that no source predicts."""
 
 MIN_GAIN: Final = 0.98
 """Held-out error, relative to that before, which a model with more freedom must reach."""
@@ -85,12 +85,18 @@ def fit_light(
         found, held_out = more, again
         bundle = bundle.with_sigma_of(found)
         held_out = bundle.held_out(found)
-    fits = [_with_residual(bundle, numbers) for numbers in (found, bundle.without_sources(found))]
-    bundle, found = min(fits, key=lambda fit: fit[0].held_out(fit[1]))
-    errors, bound = bundle.held_out_errors(found), OUTLIER_BOUND * bundle.sigma
-    sigma = np.sqrt(np.square(np.clip(errors, -bound, bound)).mean(axis=0))
-    folds = tuple(replace(bundle.model(without), sigma=sigma) for _, without in bundle.without(found))
-    return FittedLight(replace(bundle.model(found), sigma=sigma), folds, found.shift)
+    starts = (
+        (found, bundle.held_out_sigma(found)),
+        (bundle.without_sources(found), np.full_like(bundle.sigma, UNKNOWN)),
+    )
+    fits = [(*_with_residual(bundle, numbers), sigma) for numbers, sigma in starts]
+    bundle, found, source_sigma = min(fits, key=lambda fit: fit[0].held_out(fit[1]))
+    sigma = bundle.held_out_sigma(found)
+    model, *folds = (
+        replace(bundle.model(numbers), sigma=sigma, source_sigma=source_sigma)
+        for numbers in (found, *(without for _, without in bundle.without(found)))
+    )
+    return FittedLight(model, tuple(folds), found.shift)
 
 
 def _with_residual(bundle: Bundle, numbers: Numbers) -> tuple[Bundle, Numbers]:

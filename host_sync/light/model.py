@@ -1,15 +1,15 @@
 """Forward model of a gel sensor: the intensity of every channel by slope, place and elevation of the skin.
 
-The light of a few strip sources falls on a rough coat (Oren and Nayar, "Generalization of Lambert's reflectance model",
-SIGGRAPH 1994) with a glossy lobe (Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007).
-Skin around a place adds one bounce (`interreflection`). What sources cannot describe is a polynomial in the normal
-and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is divided by that
+The light of a few upright panels falls on a rough coat (Oren and Nayar, "Generalization of Lambert's reflectance
+model", SIGGRAPH 1994) with a glossy lobe (Walter et al., "Microfacet models for refraction through rough surfaces",
+EGSR 2007). Skin around a place adds one bounce (`interreflection`). What sources cannot describe is a polynomial in the
+normal and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is divided by that
 of skin at rest, so that neither vignetting nor the brightness of a source matters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -19,9 +19,13 @@ from device.surface.fields import Float64Array
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernels import write_light
 
-POINTS: Final = (-0.387, 0.0, 0.387)
-POINT_WEIGHTS: Final = (5 / 18, 8 / 18, 5 / 18)
-"""Gauss-Legendre points and weights along a strip of length 1."""
+ALONG: Final = ((-0.387, 5 / 18), (0.0, 8 / 18), (0.387, 5 / 18))
+UPWARD: Final = ((-0.289, 0.5), (0.289, 0.5))
+"""Gauss-Legendre points and weights along a length of 1, of a panel's length and height."""
+
+POINTS: Final = np.array([(along, up) for along, _ in ALONG for up, _ in UPWARD])
+POINT_WEIGHTS: Final = np.array([along * up for _, along in ALONG for _, up in UPWARD])
+"""Of the points of a panel, shares of its length and height, and weights."""
 
 NORMAL_ORDER: Final = 4
 PLACE_ORDER: Final = 2
@@ -45,7 +49,8 @@ class LightModel:
     """Sources, coat and residual field of a sensor with C channels; lengths in widths of the field.
 
     shape : (H, W) of the full-size field, pixels
-    sources : float64 array of shape (S, 4): right, down and up from the middle of skin at rest, and length of a strip
+    sources : float64 array of shape (S, 5): right, down and up from the middle of skin at rest to the middle of a
+        panel, its length, and its own height relative to its elevation
     strengths : float64 array of shape (C, S), brightness of every source in each channel
     haze : float64 array of shape (C,), light that does not depend on the slope
     albedo : fraction of light from skin around a place that the place reflects
@@ -56,7 +61,8 @@ class LightModel:
     beam : fraction of a source's light that follows the cosine from its axis, which meets the middle of the field
     camera : one over the camera's height over the middle of the field; 0 for a distant camera
     residual : float64 array of shape (C, terms, places)
-    sigma : float64 array of shape (C,), root mean square error of the intensity on held-out balls
+    sigma, source_sigma : float64 arrays of shape (C,), root mean square errors of the intensity on held-out balls, and
+        those without the residual field
     steepest : slope up to which balls were seen
     """
 
@@ -75,6 +81,7 @@ class LightModel:
     camera: float
     residual: Float64Array
     sigma: Float64Array
+    source_sigma: Float64Array
     steepest: float
 
     def light(
@@ -118,6 +125,18 @@ class LightModel:
         left = np.einsum("ncm,nm->nc", coefficients, residual_terms(p, q, z))
         return np.asarray(direct + self.albedo * incoming + left)
 
+    def elevated(
+        self, slope: Float64Array, places: tuple[Float64Array, Float64Array, Float64Array], z: Float64Array
+    ) -> Float64Array:
+        """Return what the sources' light gains where skin has an elevation z (N,) instead of that of `places`: (N, C).
+
+        slope, places : as of `intensity`
+        """
+        p, q = slope.T
+        x, y, below = places
+        change = (self.light(p, q, x, y, z) - self.light(p, q, x, y, below)) @ self.strengths.T
+        return np.asarray(change / self.rest(x, y))
+
     def residual_at(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """Return the residual's coefficients at places: shape (N, C, terms)."""
         return np.asarray(np.einsum("cmt,nt->ncm", self.residual, place_terms(x, y, self.shape)))
@@ -147,12 +166,10 @@ class LightModel:
         square = np.square(np.array(moved) / (0.01 * self.sigma)).sum(axis=-1).mean(axis=0)
         return float((1.0 / (1.0 + square * prior_sigma**2)).mean())
 
-    @property
-    def source_fraction(self) -> float:
-        """Fraction of the light at the middle of the field, at rest, that comes from sources: 0 where none is known."""
-        middle = np.zeros(1)
-        light = self.rest(middle, middle)
-        return float(((light - self.haze) / light).mean())
+    def believed_fraction(self, prior_sigma: float) -> float:
+        """Return how much of errors of slopes known to `prior_sigma` the sources alone take away."""
+        sources = replace(self, sigma=self.source_sigma, residual=np.zeros_like(self.residual))
+        return 1.0 - sources.uncertain_fraction(prior_sigma)
 
     @cached_property
     def geometry(self) -> tuple[Float64Array, Float64Array]:
@@ -169,13 +186,14 @@ class LightModel:
 
 
 def source_points(sources: Float64Array, fall_off: float) -> tuple[Float64Array, Float64Array]:
-    """Return points, places and brightness, shape (S, points, 4), and axes, shape (S, 3), of strips (S, 4)."""
-    place, length = sources[:, :3], sources[:, 3]
+    """Return points, places and brightness, shape (S, points, 4), and axes, shape (S, 3), of panels (S, 5)."""
+    place, length, height = sources[:, :3], sources[:, 3], sources[:, 4]
     reach = np.maximum(np.hypot(place[:, 0], place[:, 1]), 1e-6)
     along = np.stack([-place[:, 1] / reach, place[:, 0] / reach, np.zeros_like(reach)], axis=-1) * length[:, None]
-    points = place[:, None] + np.array(POINTS)[:, None] * along[:, None]
+    points = place[:, None] + POINTS[:, :1] * along[:, None]
+    points[..., 2] *= 1.0 + POINTS[:, 1] * height[:, None]
     distance = np.linalg.norm(place, axis=1)
-    bright = np.array(POINT_WEIGHTS) * distance[:, None] ** fall_off
+    bright = POINT_WEIGHTS * distance[:, None] ** fall_off
     return np.concatenate([points, bright[..., None]], axis=-1), place / distance[:, None]
 
 

@@ -25,6 +25,8 @@ INDEPENDENT: Final = 64.0
 UNSHADED: Final = 0.1
 """Hidden fraction of the light up to which a cell is counted."""
 
+STEP: Final = 0.02 * ELEVATION
+
 MIN_CELLS: Final = 200
 MIN_SIGMAS: Final = 3.0
 """Standard uncertainties by which an elevation differs from none, at least."""
@@ -70,13 +72,14 @@ def solve_raised(cells: Cells, found: CellSlopes, gain_sigma: float) -> RaisedFi
 
 
 def intensity_changes(cells: Cells, found: CellSlopes, here: np.ndarray) -> tuple[Float64Array, Float64Array]:
-    """Return the model's intensity (N, C) of some cells and its derivatives by elevation and gains, (N, C, 1 + C)."""
-    x, y, z = cells.places(found.z_px)
-    places, slope, incoming = (x[here], y[here]), found.slope[here], found.incoming[here]
-    shown = cells.model.intensity(slope, (*places, z[here]), incoming)
-    raised = cells.model.intensity(slope, (*places, z[here] + 0.02 * ELEVATION), incoming)
-    by_gain = shown[:, :, None] * np.eye(shown.shape[1])
-    return shown, np.concatenate([((raised - shown) / (0.02 * ELEVATION))[:, :, None], by_gain], axis=2)
+    """Return the model's intensity (N, C) of some cells and its derivatives by elevation and gains, (N, C, 1 + C).
+
+    The residual field adds nothing to the derivative by elevation, for balls show elevation with tilt only.
+    """
+    x, y, z = (part[here] for part in cells.places(found.z_px))
+    shown = cells.model.intensity(found.slope[here], (x, y, z), found.incoming[here])
+    raised = cells.model.elevated(found.slope[here], (x, y, z), z + STEP) / STEP
+    return shown, np.concatenate([raised[:, :, None], shown[:, :, None] * np.eye(shown.shape[1])], axis=2)
 
 
 def _normal_equations(cells: Cells, found: CellSlopes, usable: np.ndarray) -> tuple[Float64Array, Float64Array]:

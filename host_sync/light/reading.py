@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
+import cv2
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, Float64Array, GradientField
 from host_sync.integration.datum import cell_means
 from host_sync.kernels.cell_rows import WHOLE_CELL, cell_px, means_of_cells, middles_of_cells
@@ -37,7 +39,7 @@ def correct_slopes(
     prior_sigma: float,
     elevation: ElevationCorrection,
     alone: Float32Array | None = None,
-    gain_sigma: float | None = None,
+    rest: RestEvidence | None = None,
 ) -> CellCorrection:
     """Return what slopes (H, W) by the inverse map gain.
 
@@ -45,7 +47,7 @@ def correct_slopes(
     elevation : at which balls showed slopes, and what another elevation changes
     alone : intensity of each channel under its own light alone, shape (H, W, C); None where single lights were not
         taken
-    gain_sigma : standard deviation of a frame's gains where light shows that no skin rests; None where some does
+    rest : where light shows skin at rest; None without a reference
     """
     cell = cell_px(gradients.p.shape)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
@@ -62,11 +64,16 @@ def correct_slopes(
     known_intensity = np.where(faithful[:, None], intensity, 1.0)
     columns, rows = np.meshgrid(*middles_of_cells(size, cell)[::-1])
     places = columns.ravel(), rows.ravel()
+    kept = None
+    if rest is not None and rest.has_rest:
+        kept = np.asarray(cv2.resize(rest.kept, size[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    believed = light.model.believed_fraction(prior_sigma)
     cells = Cells(
-        light.model, size, cell, *places, known_intensity, faithful, start, bend, prior_sigma, elevation, arriving
-    )
+        light.model, size, cell, *places, known_intensity, faithful, start, bend, prior_sigma, believed, elevation,
+        kept, arriving,
+    )  # fmt: skip
     found = cells.solve()
-    raised = None if gain_sigma is None else solve_raised(cells, found, gain_sigma)
+    raised = None if rest is None or rest.has_rest else solve_raised(cells, found, rest.gain_sigma)
     if raised is not None:
         cells, found = raised.cells, raised.found
     change = np.where(faithful[:, None], found.slope - start, 0.0).astype(np.float32).reshape(*size, 2)

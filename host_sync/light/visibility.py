@@ -42,7 +42,7 @@ def visible_fraction(z_px: Float32Array, cell: int, model: LightModel) -> Float6
     grid = float(cell), 0.5 * (cell - model.shape[1]), 0.5 * (cell - model.shape[0])
     around = cv2.dilate(z_px, np.ones((2 * STRIDE + 3, 2 * STRIDE + 3), np.uint8))
     work = z_px.shape[0], WORK * z_px.shape[1]
-    parallel_rows(_write_visible, work, z_px, p, q, around, points, np.array(POINT_WEIGHTS), grid, visible)
+    parallel_rows(_write_visible, work, z_px, p, q, around, points, POINT_WEIGHTS, grid, visible)
     return visible
 
 

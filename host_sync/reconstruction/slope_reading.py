@@ -210,10 +210,8 @@ def _read_channels(
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = None
     if method == "direct":
-        at_rest, light = calibration.skin_at_rest, calibration.light
-        gain_sigma = None if at_rest is None or rest is None or rest.has_rest else at_rest.gain_sigma
         correction = correct_slopes(
-            gradients, intensity, light, calibration.prior_sigma, calibration.elevation, alone, gain_sigma
+            gradients, intensity, calibration.light, calibration.prior_sigma, calibration.elevation, alone, rest
         )
         correction.apply(gradients)
     return ChannelReading(calibration, raw, intensity, checks, gradients, correction, meanwhile, rest), warnings

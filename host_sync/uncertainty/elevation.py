@@ -51,9 +51,12 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
         z_px : elevation, pixels
         square : p² + q²
         """
+        return np.asarray((z_px - self.trained_px(square)) * np.float32(self.nearness_per_px), np.float32)
+
+    def trained_px(self, square: Float32Array) -> Float32Array:
+        """Return the elevation at which balls showed slopes of which p² + q² is `square`, pixels."""
         drop = np.float32(self.radius_px) * (np.float32(1.0) - np.float32(1.0) / np.sqrt(np.float32(1.0) + square))
-        trained_px = np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0))
-        return np.asarray((z_px - trained_px) * np.float32(self.nearness_per_px), np.float32)
+        return np.asarray(np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0)))
 
     def shared(self, share: float) -> ElevationCorrection:
         """The same for lights of which only a share of their nearness is there."""

@@ -130,10 +130,8 @@ def read_coarse(
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
     correction = None
     if method == "direct":
-        at_rest, light = calibration.skin_at_rest, calibration.light
-        gain_sigma = None if at_rest is None or evidence is None or evidence.has_rest else at_rest.gain_sigma
         correction = correct_slopes(
-            gradients, image, light, calibration.prior_sigma, calibration.elevation, gain_sigma=gain_sigma
+            gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation, rest=evidence
         )
         correction.apply(gradients)
     gain_p, gain_q = gradients.p - read_p, gradients.q - read_q
