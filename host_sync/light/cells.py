@@ -63,6 +63,7 @@ class Cells:
     elevation : those elevations, and what others change; None where they do not matter
     kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), as of `RestEvidence`;
         None where it shows none
+    zero_sigma_px : standard uncertainty of the elevation of the whole field
     arriving : fraction of each channel's light that arrives as frames of single lights show, shape (N, C); None
         without such frames
     """
@@ -80,6 +81,7 @@ class Cells:
     believed: float = 0.0
     elevation: ElevationCorrection | None = None
     kept: Float32Array | None = None
+    zero_sigma_px: float = 0.0
     arriving: Float64Array | None = None
 
     def solve(self) -> CellSlopes:
@@ -112,11 +114,14 @@ class Cells:
         exponents = np.array(MONOMIALS, np.intp)
         sources = (*model.geometry, model.coat, model.strengths, model.haze, exponents)
         incoming = np.ascontiguousarray(model.albedo * found.incoming)
-        skin = (x, y, z, rest, found.visible, incoming, np.ascontiguousarray(model.residual_at(x, y)))
+        residual = np.ascontiguousarray(model.residual_at(x, y))
+        skin = (x, y, z, rest, found.visible, incoming, residual)
+        by_zero = residual[..., -1] * (self.zero_sigma_px / model.shape[1] / ELEVATION)
+        variance = model.variance(found.slope) + np.square(by_zero)
         limits = (STEP, MAX_MOVE, HIDDEN_SIGMA, OUTLYING, ELEVATION)
         work = len(slope), 40 * steps * len(model.sources)
         parallel_rows(
-            write_search, work, sources, skin, (counted, model.variance(found.slope)), (expected, known), limits, steps,
+            write_search, work, sources, skin, (counted, variance), (expected, known), limits, steps,
             slope, change, weight,
         )  # fmt: skip
         return replace(found, slope=slope, change=change, weight=np.where(self.faithful[:, None], weight, 0.0))
@@ -143,7 +148,9 @@ class Cells:
             shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
         x, y, z = self.places(found.z_px)
         p, q = found.slope.T
-        system = np.einsum("ncj,nc,nck->njk", found.change, found.weight, found.change) + np.eye(2) / self.prior_sigma**2
+        system = (
+            np.einsum("ncj,nc,nck->njk", found.change, found.weight, found.change) + np.eye(2) / self.prior_sigma**2
+        )
         around = model.albedo * (found.incoming - _light_of_floor(square)[:, None])
         here, slopes = model.light(p, q, x, y, z) * found.visible, []
         for below in (np.zeros_like(x), shown):

@@ -64,13 +64,15 @@ def correct_slopes(
     known_intensity = np.where(faithful[:, None], intensity, 1.0)
     columns, rows = np.meshgrid(*middles_of_cells(size, cell)[::-1])
     places = columns.ravel(), rows.ravel()
-    kept = None
-    if rest is not None and rest.has_rest:
+    kept, zero_sigma_px = None, 0.0
+    if rest is not None and not rest.has_rest:
+        zero_sigma_px = elevation.apex_px
+    elif rest is not None:
         kept = np.asarray(cv2.resize(rest.kept, size[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
     believed = light.model.believed_fraction(prior_sigma)
     cells = Cells(
         light.model, size, cell, *places, known_intensity, faithful, start, bend, prior_sigma, believed, elevation,
-        kept, arriving,
+        kept, zero_sigma_px, arriving,
     )  # fmt: skip
     found = cells.solve()
     raised = None if rest is None or rest.has_rest else solve_raised(cells, found, rest.gain_sigma)
