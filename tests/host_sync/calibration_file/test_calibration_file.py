@@ -6,7 +6,7 @@ import json
 import shutil
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,10 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from point_lamps import point_lamps
 from pressed_frames import write_frame_set
 
 from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
-from device.inverse_map.illumination import IlluminationMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
@@ -41,8 +39,6 @@ from host_sync.denoising.null_colour import NullColour
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.kernels.cache import USER_CACHE
-from host_sync.lights.lamp_model import FittedLamps
-from host_sync.lights.normal_quadric import TERMS, FittedQuadric, NormalQuadric
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.slope_reading import read_slopes
 from host_sync.results.record import SlopeNoise
@@ -323,18 +319,17 @@ def with_ball_places(calibration: Calibration, *places: tuple[float, float]) -> 
     return replace(calibration, slope_error=msgspec.structs.replace(calibration.slope_error, ball_places=places))
 
 
-def with_lamps(calibration: Calibration, **changed: Any) -> Calibration:
-    """With lamps that stand over its field, but for what is changed."""
-    model = point_lamps(calibration.flat_field.shape[:2])
-    return replace(calibration, fitted_lamps=FittedLamps(model, (replace(model, **changed),)))
+def with_light(calibration: Calibration, folds: int = 2, **changed: Any) -> Calibration:
+    """With a light model of so many folds, the last of them changed."""
+    light = calibration.light
+    all_folds = (light.model, replace(light.model, **changed))
+    return replace(calibration, light=replace(light, folds=all_folds[2 - folds :]))
 
 
-def with_quadric(calibration: Calibration, folds: int = 2, **changed: Any) -> Calibration:
-    """With a quadric of its field and so many folds, the last of them changed."""
-    light = IlluminationMap(np.ones((3, 3, 3), np.float32))
-    model = NormalQuadric(calibration.flat_field.shape[:2], 1, np.zeros((TERMS, 3, 3)), light)
-    all_folds = (model, replace(model, **changed))
-    return replace(calibration, quadric=FittedQuadric(model, all_folds[2 - folds :]))
+def with_sources(calibration: Calibration, *place_and_length: float) -> Calibration:
+    """With every source at one place."""
+    sources = calibration.light.model.sources
+    return with_light(calibration, sources=np.broadcast_to(place_and_length, sources.shape).copy())
 
 
 def with_null_colour(calibration: Calibration, **changed: Any) -> Calibration:
@@ -360,31 +355,36 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     ),
     "fewer gains than tilts": lambda one: with_gains(one, ((0.0,),)),
     "a gain that is not finite": lambda one: with_gains(one, ((float("nan"),) * len(one.slope_error.tilt_deg),)),
-    "lamps over another field": lambda one: with_lamps(one, shape=(10, 10)),
-    "lamps under the skin": lambda one: with_lamps(one, position=-np.eye(3)),
-    "two lamps": lambda one: with_lamps(one, position=np.ones((2, 3))),
-    "a lobe without width": lambda one: with_lamps(one, gloss_width=0.0),
-    "beams that point nowhere": lambda one: with_lamps(one, aim=float("nan")),
+    "sources over another field": lambda one: with_light(one, shape=(10, 10)),
+    "sources under the skin": lambda one: with_sources(one, 0.7, 0.0, -0.4, 0.0),
+    "sources at no place": lambda one: with_sources(one, float("nan"), 0.0, 0.4, 0.0),
+    "strengths of two channels": lambda one: with_light(one, strengths=one.light.model.strengths[:2]),
+    "strengths of more sources than there are": lambda one: with_light(
+        one, strengths=np.hstack([one.light.model.strengths, np.ones((3, 1))])
+    ),
+    "a channel without light": lambda one: with_light(one, strengths=0.0 * one.light.model.strengths),
+    "light below none": lambda one: with_light(one, strengths=-one.light.model.strengths),
+    "a lobe without width": lambda one: with_light(one, gloss_width=0.0),
+    "a lobe without a tail": lambda one: with_light(one, tail=0.0),
+    "beams that point nowhere": lambda one: with_light(one, beam=float("nan")),
+    "a residual field of fewer terms": lambda one: with_light(one, residual=one.light.model.residual[:, 1:]),
+    "a residual field that is not finite": lambda one: with_light(one, residual=np.nan * one.light.model.residual),
+    "a residual field beyond measure": lambda one: with_light(one, residual=one.light.model.residual + 1e300),
+    "intensity without an error": lambda one: with_light(one, sigma=np.zeros(3)),
+    "a light model without folds": lambda one: with_light(one, folds=0),
+    "a light model of one fold": lambda one: with_light(one, folds=1),
     "a camera on the skin": lambda one: replace(one, viewpoint=Viewpoint(100.0, 80.0, 0.0)),
     "a camera at no height": lambda one: replace(one, viewpoint=Viewpoint(100.0, 80.0, float("nan"))),
     "a blur without measure": lambda one: replace(
         one, slope_noise=SlopeNoise((0.0,), (0.1,), (0.1,), 0.6, 0.6, 1.5, 1.5, raw_blur_px=float("nan"))
     ),
-    "a quadric of another field": lambda one: with_quadric(one, shape=(10, 10)),
-    "a quadric of another degree": lambda one: with_quadric(one, degree=2),
-    "a quadric of a degree that nobody fits": lambda one: with_quadric(one, degree=-1),
-    "a quadric without measure": lambda one: with_quadric(one, coefficients=np.full((TERMS, 3, 3), np.nan)),
-    "a quadric beyond measure": lambda one: with_quadric(one, coefficients=np.full((TERMS, 3, 3), 1e300)),
-    "a quadric without folds": lambda one: with_quadric(one, folds=0),
-    "a quadric of one fold": lambda one: with_quadric(one, folds=1),
-    "a quadric over darkness": lambda one: with_quadric(one, light=IlluminationMap(np.zeros((3, 3, 3), np.float32))),
     "a null colour for no slope": lambda one: with_null_colour(one, limit=0.0),
     "a null colour for slopes that are no number": lambda one: with_null_colour(one, limit=float("nan")),
     "a null colour of two channels": lambda one: with_null_colour(one, channels=np.zeros((3, 3, 2), np.float32)),
     "a null colour that is not finite": lambda one: with_null_colour(
         one, slopes=np.full((3, 3, 2), np.nan, np.float32)
     ),
-    "light that falls off without measure": lambda one: with_lamps(one, fall_off=float("nan")),
+    "light that falls off without measure": lambda one: with_light(one, fall_off=float("nan")),
     "a stray light below none": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, 0.0), 0.0, -1.0)),
     "levels of two lamps": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0), 0.0)),
     "a level that is not finite": lambda one: replace(one, press_levels=PressLevels((0.0, 0.0, float("nan")), 0.0)),
@@ -400,6 +400,16 @@ def test_a_camera_nearby_and_blurs_are_read_as_they_were_written(kept: KeptCalib
     found = from_members(as_members(known), Calibration)
     assert (found.viewpoint, found.slope_noise) == (known.viewpoint, noise)
     check_sound(found, "file")
+
+
+def test_the_light_model_is_read_as_it_was_written(kept: KeptCalibration) -> None:
+    read = from_members(as_members(kept.calibration), Calibration).light
+    written = kept.calibration.light
+    assert len(read.folds) == len(written.folds)
+    np.testing.assert_array_equal(read.shift_px, written.shift_px)
+    for own, other in zip((read.model, *read.folds), (written.model, *written.folds), strict=True):
+        for field in fields(other):
+            np.testing.assert_array_equal(getattr(own, field.name), getattr(other, field.name), err_msg=field.name)
 
 
 def drawn_null_colour() -> NullColour:
@@ -454,8 +464,7 @@ def test_a_file_from_before_null_colours_reads_slopes_as_before(kept: KeptCalibr
 @pytest.mark.parametrize("harm", HARMS)
 def test_what_kernels_would_trust_is_checked(kept: KeptCalibration, harm: str) -> None:
     check_sound(kept.calibration, "file")
-    check_sound(with_lamps(kept.calibration), "file")
-    check_sound(with_quadric(kept.calibration), "file")
+    check_sound(with_light(kept.calibration), "file")
     check_sound(with_null_colour(kept.calibration), "file")
     with pytest.raises(Unsound):
         check_sound(HARMS[harm](kept.calibration), "file")
