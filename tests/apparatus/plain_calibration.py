@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
+
+import numpy as np
 
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array
 from host_sync.frame_checks.frame_model import FrameModel
+from tests.apparatus.matt_light import matt_model, stated
 
 
 def plain_calibration(flat_field: Float32Array, inverse: InverseMap, pitch_um: float) -> SimpleNamespace:
-    """Return it: what a calibration may lack is None.
+    """Return it: what a calibration may lack is None, and its light model explains nothing.
 
     flat_field : light of untouched skin, float32 array of shape (H, W, 3)
     """
+    light = replace(
+        matt_model(200.0, sigma=1e3), shape=flat_field.shape[:2], strengths=np.zeros((3, 3)), haze=np.ones(3)
+    )
     return SimpleNamespace(
         flat_field=flat_field,
         frame_model=FrameModel.of(None, flat_field, []),
@@ -21,10 +28,8 @@ def plain_calibration(flat_field: Float32Array, inverse: InverseMap, pitch_um: f
         shrinkage=None,
         viewpoint=None,
         null_colour=None,
-        fitted_lamps=None,
-        shading=None,
-        lamps=None,
-        quadric=None,
+        light=stated(light, light),
+        prior_sigma=0.01,
         press_levels=None,
         skin_at_rest=None,
         pitch_um=pitch_um,
