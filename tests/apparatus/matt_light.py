@@ -26,7 +26,7 @@ def matt_model(height_px: float, sigma: float = 0.004) -> LightModel:
     """
     return LightModel(
         shape=SHAPE,
-        sources=np.column_stack([lamp_places(height_px), np.zeros(3)]),
+        sources=np.column_stack([lamp_places(height_px), np.zeros((3, 2))]),
         strengths=np.eye(3),
         haze=np.zeros(3),
         albedo=0.0,

@@ -326,10 +326,10 @@ def with_light(calibration: Calibration, folds: int = 2, **changed: Any) -> Cali
     return replace(calibration, light=replace(light, folds=all_folds[2 - folds :]))
 
 
-def with_sources(calibration: Calibration, *place_and_length: float) -> Calibration:
+def with_sources(calibration: Calibration, *place_and_extent: float) -> Calibration:
     """With every source at one place."""
     sources = calibration.light.model.sources
-    return with_light(calibration, sources=np.broadcast_to(place_and_length, sources.shape).copy())
+    return with_light(calibration, sources=np.broadcast_to(place_and_extent, sources.shape).copy())
 
 
 def with_null_colour(calibration: Calibration, **changed: Any) -> Calibration:
@@ -356,8 +356,8 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "fewer gains than tilts": lambda one: with_gains(one, ((0.0,),)),
     "a gain that is not finite": lambda one: with_gains(one, ((float("nan"),) * len(one.slope_error.tilt_deg),)),
     "sources over another field": lambda one: with_light(one, shape=(10, 10)),
-    "sources under the skin": lambda one: with_sources(one, 0.7, 0.0, -0.4, 0.0),
-    "sources at no place": lambda one: with_sources(one, float("nan"), 0.0, 0.4, 0.0),
+    "sources under the skin": lambda one: with_sources(one, 0.7, 0.0, -0.4, 0.0, 0.0),
+    "sources at no place": lambda one: with_sources(one, float("nan"), 0.0, 0.4, 0.0, 0.0),
     "strengths of two channels": lambda one: with_light(one, strengths=one.light.model.strengths[:2]),
     "strengths of more sources than there are": lambda one: with_light(
         one, strengths=np.hstack([one.light.model.strengths, np.ones((3, 1))])

@@ -17,7 +17,7 @@ RANDOM = np.random.default_rng(1)
 MATT = matt_model(200.0)
 FULL = replace(
     MATT,
-    sources=MATT.sources + np.array([0.0, 0.0, 0.0, 0.3]),
+    sources=MATT.sources + np.array([0.0, 0.0, 0.0, 0.3, 0.4]),
     strengths=np.eye(3) + 0.1,
     haze=np.full(3, 0.03),
     albedo=0.4,
@@ -42,7 +42,16 @@ def cells_with(model: LightModel, start: np.ndarray, prior_sigma: float = 10.0) 
     columns, rows = np.meshgrid(column, row)
     everywhere, seen = np.ones(COUNT, bool), np.ones((COUNT, 3))
     return Cells(
-        model, SIZE, CELL, columns.ravel(), rows.ravel(), seen, everywhere, start, np.zeros((COUNT, 2)), prior_sigma
+        model,
+        SIZE,
+        CELL,
+        columns.ravel(),
+        rows.ravel(),
+        intensity=seen,
+        faithful=everywhere,
+        start=start,
+        bend=np.zeros((COUNT, 2)),
+        prior_sigma=prior_sigma,
     )
 
 

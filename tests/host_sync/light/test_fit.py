@@ -147,7 +147,7 @@ def test_derivatives_are_those_of_the_errors() -> None:
     samples = gather_samples((image, [ball]) for image, ball in zip(images, MOVED, strict=True))
     bundle = Bundle.of(samples, MOVED, APEXES, SHAPE)
     begun = bundle.start(0.5, 0.3, None)
-    numbers = replace(begun, haze=np.full(3, 0.05), coat=begun.coat + 0.05, length=np.full(3, 0.3))
+    numbers = replace(begun, haze=np.full(3, 0.05), coat=begun.coat + 0.05, extent=np.full((3, 2), 0.3))
     _, _, found = bundle._system(numbers)
     values = numbers.packed()
     # Sources and coat come first, then the centres.

@@ -21,7 +21,7 @@ SLOPE = RANDOM.uniform(-0.4, 0.4, (COUNT, 2))
 DARK = np.zeros((COUNT, 3))
 EVERYTHING = replace(
     MATT,
-    sources=MATT.sources + np.array([0.0, 0.0, 0.0, 0.4]),
+    sources=MATT.sources + np.array([0.0, 0.0, 0.0, 0.4, 0.5]),
     strengths=np.eye(3) + 0.1,
     haze=np.full(3, 0.05),
     albedo=0.4,
@@ -38,7 +38,7 @@ EVERYTHING = replace(
 
 def towards_first() -> tuple[np.ndarray, float]:
     """Return the horizontal direction of the first lamp from the middle, and its angle from the vertical."""
-    right, down, up, _ = MATT.sources[0]
+    right, down, up = MATT.sources[0, :3]
     away = np.hypot(right, down)
     return np.array([right, down]) / away, float(np.arctan2(away, up))
 
@@ -74,20 +74,23 @@ def test_neither_brightness_nor_the_number_of_pixels_matters() -> None:
     np.testing.assert_allclose(finer.intensity(SLOPE, places, DARK), shown, rtol=1e-12)
 
 
-def test_a_strip_lights_as_points_along_it() -> None:
-    right, down, up, _ = MATT.sources[0]
-    length, count = 0.4, 101
-    across = np.array([-down, right]) / np.hypot(right, down)
+def test_a_panel_lights_as_points_over_it() -> None:
+    """It stands upright across the way to the middle; its height is stated relative to its elevation."""
+    right, down, up = MATT.sources[0, :3]
+    length, height, count = 0.4, 0.5, 31
+    across = np.array([-down, right, 0.0]) / np.hypot(right, down)
     middle = np.array([right, down, up])
-    steps = length * ((np.arange(count) + 0.5) / count - 0.5)
-    points = middle + steps[:, None] * np.append(across, 0.0)
-    bright = (np.linalg.norm(middle) / np.linalg.norm(points, axis=1)) ** MATT.fall_off / count
-    lit = replace(MATT, sources=np.column_stack([points, np.zeros(count)]), strengths=np.tile(bright, (3, 1)))
-    strip = replace(MATT, sources=np.array([[right, down, up, length]]), strengths=np.ones((3, 1)))
+    parts = (np.arange(count) + 0.5) / count - 0.5
+    along, upward = (grid.reshape(-1, 1) for grid in np.meshgrid(length * parts, height * up * parts))
+    points = middle + along * across + upward * [0.0, 0.0, 1.0]
+    bright = (np.linalg.norm(middle) / np.linalg.norm(points, axis=1)) ** MATT.fall_off / len(points)
+    many = np.column_stack([points, np.zeros((len(points), 2))])
+    lit = replace(MATT, sources=many, strengths=np.tile(bright, (3, 1)))
+    panel = replace(MATT, sources=np.array([[right, down, up, length, height]]), strengths=np.ones((3, 1)))
     places = MATT.places(COLUMN, ROW, Z_PX)
-    np.testing.assert_allclose(strip.intensity(SLOPE, places, DARK), lit.intensity(SLOPE, places, DARK), atol=2e-3)
-    point = replace(strip, sources=strip.sources * [1.0, 1.0, 1.0, 0.0])
-    assert np.abs(point.intensity(SLOPE, places, DARK) - lit.intensity(SLOPE, places, DARK)).max() > 5e-3
+    np.testing.assert_allclose(panel.intensity(SLOPE, places, DARK), lit.intensity(SLOPE, places, DARK), atol=3e-3)
+    point = replace(panel, sources=panel.sources * [1.0, 1.0, 1.0, 0.0, 0.0])
+    assert np.abs(point.intensity(SLOPE, places, DARK) - lit.intensity(SLOPE, places, DARK)).max() > 6e-3
 
 
 def test_a_coat_that_shines_is_brightest_where_it_mirrors_the_lamp_to_the_camera() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from matt_light import matt_model
@@ -41,7 +39,7 @@ def search(z_px: np.ndarray, gain: tuple[float, ...] = (1.0, 1.0, 1.0), sigma: f
     start = means_of_cells(np.stack([p, q], axis=-1).astype(np.float32), SIZE, CELL).reshape(-1, 2)
     everywhere, flat = np.ones(count, bool), np.zeros((count, 2))
     model = matt_model(LAMP_PX, sigma)
-    cells = Cells(model, SIZE, CELL, columns.ravel(), rows.ravel(), seen, everywhere, start, flat, 0.5)
+    cells = Cells(model, SIZE, CELL, columns.ravel(), rows.ravel(), seen, everywhere, start, flat, prior_sigma=0.5)
     return solve_raised(cells, cells.solve(), GAIN_SIGMA)
 
 
@@ -87,5 +85,6 @@ def test_few_cells_show_nothing() -> None:
     known, flat = np.zeros(count, bool), np.zeros((count, 2))
     known[:50] = True
     seen = np.ones((count, 3))
-    cells = Cells(matt_model(LAMP_PX), SIZE, CELL, columns.ravel(), rows.ravel(), seen, known, flat, flat, 0.5)
-    assert solve_raised(replace(cells), cells.solve(), GAIN_SIGMA) is None
+    model = matt_model(LAMP_PX)
+    cells = Cells(model, SIZE, CELL, columns.ravel(), rows.ravel(), seen, known, flat, flat, prior_sigma=0.5)
+    assert solve_raised(cells, cells.solve(), GAIN_SIGMA) is None

@@ -11,6 +11,7 @@ from near_lamps import RADIUS_PX, SHAPE, NearLamps
 from scipy.ndimage import gaussian_filter
 
 from device.imaging.flat_field import NormalizedImage
+from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
 from host_sync.light.cell_correction import CellCorrection
@@ -75,10 +76,16 @@ def height_px(gradients: GradientField) -> float:
     return float(np.median(z[DISTANCE < 25.0]) - np.median(border))
 
 
+def evidence(moved: np.ndarray) -> RestEvidence:
+    """Return evidence of rest where nothing moved, bool array of shape (H, W)."""
+    cells = moved.reshape(SHAPE[0] // 8, 8, SHAPE[1] // 8, 8).any(axis=(1, 3))
+    return RestEvidence(cells.astype(np.float32), np.ones_like(cells), np.zeros(3), np.zeros(3), GAIN_SIGMA)
+
+
 def corrected(
-    gradients: GradientField, image: NormalizedImage, gain_sigma: float | None = None
+    gradients: GradientField, image: NormalizedImage, rest: RestEvidence | None = None
 ) -> tuple[CellCorrection, GradientField]:
-    found = correct_slopes(gradients, image, LIGHT, PRIOR_SIGMA, BALLS, gain_sigma=gain_sigma)
+    found = correct_slopes(gradients, image, LIGHT, PRIOR_SIGMA, BALLS, rest=rest)
     after = replace(gradients, p=gradients.p.copy(), q=gradients.q.copy(), weight=gradients.weight.copy())
     found.apply(after)
     return found, after
@@ -115,14 +122,15 @@ def test_an_object_that_stands_high_under_near_light_keeps_its_slopes() -> None:
 
 
 @pytest.mark.parametrize("flank", [0.6, 0.8])
-def test_skin_in_shadow_follows_from_the_lamps_that_reach_it(flank: float) -> None:
+@pytest.mark.parametrize("has_reference", [False, True])
+def test_skin_in_shadow_follows_from_the_lamps_that_reach_it(flank: float, has_reference: bool) -> None:
     z = cone(flank)
     q, p = np.gradient(z)
     image, lit = shadowed(z)
     dark = ~lit.all(axis=-1)
     assert 0.01 < dark.mean() < 0.3
     before = field(np.where(dark, 1.5 * p + 0.2 * np.sign(p), p), np.where(dark, 1.5 * q + 0.2 * np.sign(q), q))
-    found, after = corrected(before, image)
+    found, after = corrected(before, image, evidence((z > 0.2) | dark) if has_reference else None)
     wrong, left = (np.hypot(one.p - p, one.q - q)[dark].mean() for one in (before, after))
     assert left < 0.2 * wrong
     assert abs(height_px(after) - HEIGHT_PX) < 0.032 * (height_px(before) - HEIGHT_PX)
@@ -180,7 +188,7 @@ def test_noise_leans_level_skin_to_no_side() -> None:
 def test_slopes_are_as_uncertain_as_models_of_fewer_balls_differ() -> None:
     z = cone(0.3)
     q, p = np.gradient(z)
-    higher, lower = (replace(MODEL, sources=MODEL.sources * [1.0, 1.0, 1.0 + by, 1.0]) for by in (0.02, -0.02))
+    higher, lower = (replace(MODEL, sources=MODEL.sources * [1.0, 1.0, 1.0 + by, 1.0, 1.0]) for by in (0.02, -0.02))
     image = LAMPS.intensity(z)
 
     def sigma(*folds: object) -> np.ndarray:
@@ -212,7 +220,7 @@ def test_an_object_under_the_whole_field_has_no_skin_at_rest_and_keeps_its_heigh
     z = waves()
     image = noisy(LAMPS.intensity(z + 8.0), np.array(gain))
     before = seen_as_at_rest(image)
-    found, after = corrected(before, image, GAIN_SIGMA)
+    found, after = corrected(before, image, evidence(EVERYWHERE))
     assert not found.has_rest
     wrong, left = (float((integrate(one, 1.0)[0].z_um - z).std()) for one in (before, after))
     assert left < 0.3 * wrong
@@ -225,7 +233,7 @@ def test_a_plate_under_the_whole_field_is_no_skin_at_rest(tilt: float) -> None:
     z = 8.0 + tilt * (COLUMN - 0.5 * SHAPE[1])
     image = noisy(LAMPS.intensity(z))
     before = seen_as_at_rest(image)
-    found, after = corrected(before, image, GAIN_SIGMA)
+    found, after = corrected(before, image, evidence(EVERYWHERE))
     assert not found.has_rest
     wrong, left = (float((integrate(one, 1.0)[0].z_um - z).std()) for one in (before, after))
     assert left < 0.3 * wrong
@@ -234,5 +242,5 @@ def test_a_plate_under_the_whole_field_is_no_skin_at_rest(tilt: float) -> None:
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.98, 1.0, 1.01)])
 def test_skin_at_rest_is_no_object_under_the_whole_field(gain: tuple[float, ...]) -> None:
     image = noisy(LAMPS.intensity(ZERO), np.array(gain))
-    found, _ = corrected(seen_as_at_rest(image), image, GAIN_SIGMA)
+    found, _ = corrected(seen_as_at_rest(image), image, evidence(EVERYWHERE))
     assert found.has_rest

@@ -21,8 +21,9 @@ AFAR = 1000.0
 
 
 def lit_from(*sources: tuple[float, float, float, float]) -> LightModel:
-    """Return a model of sources at these places and of these lengths, in widths of the field."""
-    return replace(matt_model(200.0), shape=SHAPE, sources=np.array(sources), strengths=np.ones((3, len(sources))))
+    """Return a model of sources at these places and of these lengths, in widths of the field; none has a height."""
+    panels = np.column_stack([np.array(sources), np.zeros(len(sources))])
+    return replace(matt_model(200.0), shape=SHAPE, sources=panels, strengths=np.ones((3, len(sources))))
 
 
 RIGHT_LEFT_BELOW = lit_from(*((AFAR * x, AFAR * y, AFAR * RISE, 0.0) for x, y in ((1, 0), (-1, 0), (0, 1))))

@@ -78,7 +78,7 @@ def test_one_and_two_threads_give_the_same_result(
 def test_the_light_model_corrects_both_kinds_of_detail_alike(ring_calibration: Calibration) -> None:
     light = ring_calibration.light
     model = replace(
-        light.model, sources=light.model.sources * [1.0, 1.0, 0.8, 1.0], residual=1.1 * light.model.residual
+        light.model, sources=light.model.sources * [1.0, 1.0, 0.8, 1.0, 1.0], residual=1.1 * light.model.residual
     )
     other = replace(ring_calibration, light=replace(light, model=model))
     details: tuple[Any, ...] = ("shrunk", "raw")
