@@ -44,11 +44,12 @@ SHAPES: Final[dict[str, dict[str, str]]] = {
     "LightPositionModel": {"gradient": "cells 3 2"},
     "FittedLight": {"shift_px": "balls 2"},
     "LightModel": {
-        "sources": "s 4",
+        "sources": "s 5",
         "strengths": "3 s",
         "haze": "3",
         "residual": f"3 {TERMS} {PLACES}",
         "sigma": "3",
+        "source_sigma": "3",
     },
     "IlluminationMap": {"nodes": "h w 3"},
     "FrameNoise": {"covariance": "3 3", "ratios": "3"},
@@ -215,7 +216,7 @@ def _check_fitted_lights(calibration: Calibration) -> None:
             model.shape == calibration.flat_field.shape[:2]
             and np.isfinite(numbers).all()
             and float(model.sources[:, 2].min()) > 0.0
-            and float(model.sigma.min()) > 0.0
+            and min(float(model.sigma.min()), float(model.source_sigma.min())) > 0.0
             and float(model.strengths.min()) >= 0.0
             and float(model.strengths.sum(axis=1).min()) > 0.0
             and min(model.gloss_width, model.tail) > 0.0

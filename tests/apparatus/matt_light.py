@@ -40,6 +40,7 @@ def matt_model(height_px: float, sigma: float = 0.004) -> LightModel:
         camera=0.0,
         residual=np.zeros((3, TERMS, PLACES)),
         sigma=np.full(3, sigma),
+        source_sigma=np.full(3, sigma),
         steepest=1.0,
     )
 

@@ -371,6 +371,7 @@ HARMS: dict[str, Callable[[Calibration], Calibration]] = {
     "a residual field that is not finite": lambda one: with_light(one, residual=np.nan * one.light.model.residual),
     "a residual field beyond measure": lambda one: with_light(one, residual=one.light.model.residual + 1e300),
     "intensity without an error": lambda one: with_light(one, sigma=np.zeros(3)),
+    "sources without an error": lambda one: with_light(one, source_sigma=np.zeros(3)),
     "a light model without folds": lambda one: with_light(one, folds=0),
     "a light model of one fold": lambda one: with_light(one, folds=1),
     "a camera on the skin": lambda one: replace(one, viewpoint=Viewpoint(100.0, 80.0, 0.0)),

@@ -88,7 +88,7 @@ def test_balls_show_where_the_lamps_stand() -> None:
     np.testing.assert_allclose(np.hypot(*place[:, :2].T), np.hypot(*truth[:, :2].T), rtol=0.05)
     angle, true_angle = (np.degrees(np.arctan2(at[:, 1], at[:, 0])) % 360.0 for at in (place, truth))
     np.testing.assert_allclose(angle, true_angle, atol=2.0)
-    assert near_lamps().model.source_fraction > 0.9
+    assert near_lamps().model.believed_fraction(0.02) > 0.9
 
 
 def test_balls_show_where_their_centres_are() -> None:

@@ -148,8 +148,11 @@ def test_the_more_exact_the_model_the_less_is_left_of_an_uncertain_slope() -> No
     assert left[-1] > 0.999
 
 
-def test_all_light_comes_from_sources_or_from_haze() -> None:
-    assert MATT.source_fraction == 1.0
-    haze = replace(MATT, strengths=0.0 * MATT.strengths, haze=np.ones(3))
-    assert haze.source_fraction == 0.0
-    assert 0.0 < EVERYTHING.source_fraction < 1.0
+def test_sources_are_believed_as_far_as_they_alone_determine_slopes() -> None:
+    """What the residual field adds does not count: it predicts no elevation."""
+    believed = [replace(MATT, source_sigma=np.full(3, sigma)).believed_fraction(0.05) for sigma in (1e-4, 0.05, 1e3)]
+    assert believed == sorted(believed, reverse=True)
+    assert believed[0] > 0.999
+    assert believed[-1] < 1e-3
+    with_residual = replace(EVERYTHING, residual=0.0 * EVERYTHING.residual)
+    assert EVERYTHING.believed_fraction(0.05) == with_residual.believed_fraction(0.05)
