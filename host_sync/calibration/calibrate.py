@@ -248,17 +248,9 @@ def calibrate(
     null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
     noise = _slope_noise(shrinkage, inverse, training, null_colour, demosaiced=presses[0].frame.demosaiced)
     digest = _digest(
-        inverse,
-        flat_field,
-        pitch_um,
-        shrinkage,
-        lowered.light,
-        levels,
-        viewpoint,
-        noise,
-        null_colour,
-        at_rest,
-    )
+        inverse, flat_field, pitch_um, shrinkage, lowered.light, levels, viewpoint, noise, null_colour, at_rest,
+        (prior_sigma, elevation.apex_px, elevation.radius_px, elevation.nearness_per_px),
+    )  # fmt: skip
     return Calibration(
         calibration_id=digest,
         flat_field=flat_field,
@@ -324,9 +316,10 @@ def _digest(
     noise: SlopeNoise | None = None,
     null_colour: NullColour | None = None,
     at_rest: SkinAtRest | None = None,
+    priors: Sequence[float] = (),
 ) -> str:
     """Twelve hexadecimal digits that change when the calibration does."""
-    digest = hashlib.sha256(np.float64(pitch_um).tobytes())
+    digest = hashlib.sha256(np.array([pitch_um, *priors]).tobytes())
     for _, array in sorted(inverse.map.arrays().items()):
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update(np.ascontiguousarray(flat_field).tobytes())

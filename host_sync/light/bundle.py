@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from device.surface.fields import Float64Array, MaskArray
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernels import write_light
 from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms, source_points
+from host_sync.light.numbers import COAT, COAT_SIGMA, COAT_START, Numbers
 
 SAMPLES: Final = 3000
 FOLDS: Final = 6
@@ -38,55 +39,7 @@ TOLERANCE: Final = 1e-4
 DAMPINGS: Final = 8
 STEP: Final = 1e-4
 CENTRE_STEP_PX: Final = 0.05
-_COAT: Final = ("fall_off", "roughness", "gloss", "log_width", "log_tail", "tilt_gain", "beam")
-_COAT_START: Final = np.array([2.0, 0.3, 0.1, np.log(0.35), np.log(2.0), 0.0, 0.2])
-_COAT_SIGMA: Final = np.array([1.0, 0.5, 0.3, 0.5, 1.0, 0.15, 0.5])
-_COAT_LOW: Final = np.array([0.0, 0.0, 0.0, np.log(0.08), 0.0, -0.9, 0.0])
-_COAT_HIGH: Final = np.array([4.0, 1.0, 0.95, np.log(0.8), np.log(60.0), 2.0, 1.0])
-_LOW_UP: Final = np.log(0.04)
-_HIGH_UP: Final = np.log(5.0)
-_FARTHEST: Final = 4.0
-_LARGEST: Final = (2.0, 1.6)
-"""Bounds of the places of sources, and of their length and height."""
 _OF_SOURCES: Final = ("place", "extent", "strength", "haze", "albedo", "coat")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Numbers:
-    """Numbers of a model with S sources and C channels, and shifts of the balls' centres."""
-
-    place: Float64Array
-    extent: Float64Array
-    strength: Float64Array
-    haze: Float64Array
-    albedo: Float64Array
-    coat: Float64Array
-    shift: Float64Array
-    residual: Float64Array
-
-    def packed(self) -> Float64Array:
-        """Return all numbers in their order."""
-        return np.concatenate([np.ravel(getattr(self, one.name)) for one in fields(self)])
-
-    def unpacked(self, values: Float64Array) -> Numbers:
-        """The same numbers with other values, kept within what a sensor can have."""
-        found, at = {}, 0
-        for one in fields(self):
-            own = getattr(self, one.name)
-            found[one.name] = values[at : at + own.size].reshape(own.shape).copy()
-            at += own.size
-        np.clip(found["place"][:, :2], -_FARTHEST, _FARTHEST, out=found["place"][:, :2])
-        np.clip(found["place"][:, 2], _LOW_UP, _HIGH_UP, out=found["place"][:, 2])
-        np.clip(found["extent"], 0.0, _LARGEST, out=found["extent"])
-        np.clip(found["coat"], _COAT_LOW, _COAT_HIGH, out=found["coat"])
-        for name in ("strength", "haze", "albedo"):
-            np.maximum(found[name], 0.0, out=found[name])
-        return Numbers(**found)
-
-    @property
-    def sources(self) -> Float64Array:
-        """Sources as of `LightModel`."""
-        return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.extent], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +120,7 @@ class Bundle:
             0.9 * np.eye(channels) + 0.1 / channels,
             np.full(channels, 0.01),
             np.array([0.3]),
-            _COAT_START.copy(),
+            COAT_START.copy(),
             np.zeros((len(self.balls), 2)),
             np.zeros((channels, TERMS * PLACES)),
         )
@@ -229,7 +182,7 @@ class Bundle:
             change[:, channel] = (1.0 - terms.ratio[:, channel]) / terms.at_rest[:, channel]
             yield change
         yield self.incoming
-        for number in range(len(_COAT)):
+        for number in range(len(COAT)):
             coat = numbers.coat.copy()
             coat[number] += STEP
             other = self.model(replace(numbers, coat=coat))
@@ -252,13 +205,13 @@ class Bundle:
         radius = np.array([one.radius_px for one in self.balls])
         expected = replace(
             numbers, extent=np.full_like(numbers.extent, 0.2), haze=np.zeros_like(numbers.haze),
-            albedo=np.array([0.4]), coat=_COAT_START, shift=np.zeros_like(numbers.shift),
+            albedo=np.array([0.4]), coat=COAT_START, shift=np.zeros_like(numbers.shift),
             residual=np.zeros_like(numbers.residual),
         )  # fmt: skip
         sigmas = replace(
             numbers, place=np.full_like(numbers.place, 10.0), extent=np.full_like(numbers.extent, 0.5),
             strength=np.ones_like(numbers.strength), haze=np.full_like(numbers.haze, 0.05), albedo=np.array([0.5]),
-            coat=_COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
+            coat=COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
             residual=np.full_like(numbers.residual, self.residual_sigma * np.sqrt(weight)),
         )  # fmt: skip
         return expected.packed(), weight / sigmas.packed() ** 2
@@ -376,10 +329,11 @@ class Bundle:
 
     def without_sources(self, numbers: Numbers) -> Numbers:
         """Return the numbers of a model whose residual field explains all."""
-        first = self.start(0.35, 0.45, None)
+        channels = len(numbers.haze)
         return replace(
-            first, strength=np.full_like(first.strength, 1e-3), haze=np.ones_like(first.haze), shift=numbers.shift,
-            albedo=np.zeros(1),
+            numbers, place=np.zeros((0, 3)), extent=np.zeros((0, 2)), strength=np.zeros((channels, 0)),
+            haze=np.ones(channels), albedo=np.zeros(1), coat=COAT_START.copy(),
+            residual=np.zeros_like(numbers.residual),
         )  # fmt: skip
 
 

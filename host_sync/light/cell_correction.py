@@ -30,7 +30,7 @@ class CellCorrection:
         wrong all at once; called once, in the background; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
-    has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light tells
+    has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light shows
     confidence : of slopes in shadow, as a share of that of others, where their uncertainty is asked; None for `weight`
     """
 

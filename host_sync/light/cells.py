@@ -7,6 +7,7 @@ both are found in turns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -22,8 +23,8 @@ from host_sync.light.model import ELEVATION, MONOMIALS, LightModel
 from host_sync.light.visibility import visible_fraction
 from host_sync.uncertainty.elevation import ElevationCorrection
 
-FIRST_STEPS: Final = 5
-STEPS: Final = (3, 2, 2, 2)
+FIRST_STEPS: Final = 3
+STEPS: Final = (2, 2, 2)
 """Steps from level heights, and in each round after the heights were found."""
 
 STEP: Final = 1e-3
@@ -36,6 +37,9 @@ HIDDEN_SIGMA: Final = 0.3
 OUTLYING: Final = 4.0
 """Standard deviations at which an error of the intensity counts half."""
 
+SHADOW_ERROR: Final = 0.3
+"""Standard uncertainty of slopes that the inverse map reads in shadow, where the model predicts shadow rightly."""
+
 REST_INFORMATION: Final = 100.0
 """Weight of a slope of skin at rest in the integration, relative to that of others."""
 
@@ -46,7 +50,7 @@ SHADOW_WEIGHT: Final = 0.3
 """Weight of slopes in shadow in the integration, relative to that of others."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """Cells of a frame, in row-major order.
 
@@ -84,6 +88,18 @@ class Cells:
     zero_sigma_px: float = 0.0
     arriving: Float64Array | None = None
 
+    @cached_property
+    def rest(self) -> Float64Array:
+        """Light of skin at rest, shape (N, C)."""
+        return self.model.mixed(self.rest_light)
+
+    @cached_property
+    def rest_light(self) -> Float64Array:
+        """Light of every source on skin at rest, shape (N, S)."""
+        level = np.zeros_like(self.column)
+        x, y, _ = self.places(np.zeros(self.size, np.float32))
+        return self.model.light(level, level, x, y, level)
+
     def solve(self) -> CellSlopes:
         """Return the slopes of the largest posterior."""
         solver = Integrator(self.size)
@@ -104,7 +120,7 @@ class Cells:
         """Move slopes by Gauss-Newton steps; heights, visibility and incoming light stay."""
         model = self.model
         x, y, z = self.places(found.z_px)
-        slope, rest = found.slope.copy(), model.rest(x, y)
+        slope, rest = found.slope.copy(), self.rest
         change, weight = np.empty((*self.intensity.shape, 2)), np.empty_like(self.intensity)
         counted = np.where(self.faithful[:, None], self.intensity, np.nan_to_num(found.shown, nan=1.0))
         hidden = found.shadow[:, None]
@@ -131,31 +147,35 @@ class Cells:
         doubt = 1.0 - self.believed
         square = np.square(found.slope).sum(axis=1)
         variance = self.prior_sigma**2 + doubt**2 * np.square(found.unseen).sum(axis=1)
+        variance += np.square(SHADOW_ERROR * self.believed * found.shadow)
         if self.elevation is not None:
             gain = self.elevation.steeper(found.z_px.ravel(), square.astype(np.float32)).astype(np.float64)
             variance += square * (doubt * gain) ** 2
         return np.asarray(1.0 / variance)
 
-    def _misread(self, found: CellSlopes) -> tuple[Float64Array, Float64Array]:
+    def _misread(self, found: CellSlopes, light: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return by how much `start` is off at other elevations than 0 and under other light around than balls have.
 
         Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show.
+
+        light : that arrives from every source, shape (N, S)
         """
         model = self.model
         square = np.square(found.slope).sum(axis=1)
         shown = np.zeros(len(square))
         if self.elevation is not None:
             shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
-        x, y, z = self.places(found.z_px)
+        x, y, _ = self.places(found.z_px)
         p, q = found.slope.T
         system = (
             np.einsum("ncj,nc,nck->njk", found.change, found.weight, found.change) + np.eye(2) / self.prior_sigma**2
         )
+        weighted = found.change * found.weight[..., None]
         around = model.albedo * (found.incoming - _light_of_floor(square)[:, None])
-        here, slopes = model.light(p, q, x, y, z) * found.visible, []
+        slopes = []
         for below in (np.zeros_like(x), shown):
-            change = (here - model.light(p, q, x, y, below)) @ model.strengths.T / model.rest(x, y) + around
-            gradient = np.einsum("ncj,nc,nc->nj", found.change, found.weight, change)
+            change = (light - model.light(p, q, x, y, below)) @ model.strengths.T / self.rest + around
+            gradient = np.einsum("ncj,nc->nj", weighted, change)
             slopes.append(np.linalg.solve(system, gradient[..., None])[..., 0])
         return slopes[0], slopes[1]
 
@@ -180,18 +200,18 @@ class Cells:
         visible = visible_fraction(z_px, self.cell, model).reshape(len(found.slope), -1)
         if self.arriving is not None:
             visible = np.minimum(visible, self.arriving[:, model.strengths.argmax(axis=0)])
-        x, y, _ = self.places(z_px)
-        rest = model.rest(x, y)
+        x, y, z = self.places(z_px)
+        rest = self.rest
         shown = (self.intensity * rest).reshape(*size, -1)
         incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell)).reshape(rest.shape) / rest
         p_cell, q_cell = found.slope.T
-        light = model.light(p_cell, q_cell, x, y, z_px.ravel() / model.shape[1])
-        dark = ((light * (1.0 - visible)) @ model.strengths.T / rest).max(axis=1)
+        light = model.light(p_cell, q_cell, x, y, z)
+        dark = ((self.rest_light * (1.0 - visible)) @ model.strengths.T / rest).max(axis=1)
         shadow = np.clip(dark / IN_SHADOW, 0.0, 1.0)
         found = replace(
             found, z_px=z_px, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming, shadow=shadow
         )
-        misread, unseen = self._misread(found)
+        misread, unseen = self._misread(found, light * visible)
         return replace(found, misread=misread, unseen=unseen)
 
     def _shift_px(self, height: HeightMap, field: GradientField, elevation_px: float | None) -> float:

@@ -15,8 +15,9 @@ import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array
-from host_sync.light.bundle import Bundle, Numbers
+from host_sync.light.bundle import Bundle
 from host_sync.light.model import LightModel
+from host_sync.light.numbers import Numbers
 
 STARTS: Final = ((0.35, 0.45), (0.5, 0.2))
 """Height and length of the sources, in widths of the field, from which searches begin."""

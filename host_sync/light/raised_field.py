@@ -53,6 +53,8 @@ def solve_raised(cells: Cells, found: CellSlopes, gain_sigma: float) -> RaisedFi
     found : slopes over the elevation that level skin in it shows
     gain_sigma : standard deviation of a frame's gains
     """
+    if not len(cells.model.sources):
+        return None
     channels = cells.intensity.shape[1]
     prior = np.diag([ELEVATION**-2] + [gain_sigma**-2] * channels)
     change, raised = np.zeros(1 + channels), cells
