@@ -24,7 +24,7 @@ MAX_SHARE: Final = 0.1
 
 
 def slopes_hidden_by_means(gradients: GradientField, size: tuple[int, int], cell: int) -> Float64Array:
-    """By how much mean slopes of `size` (h, w) cells are steeper than their mean light shows: float64 array (h, w, 2).
+    """Return how much mean slopes of `size` (h, w) cells are steeper than their mean light shows, shape (h, w, 2).
 
     Over a cell slopes differ as pixels show, and within a pixel as they change over the camera's blur.
 

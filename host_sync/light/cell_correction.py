@@ -1,4 +1,4 @@
-"""What slopes of pixels gain by what is found at the middles of cells: of long waves, so that few places are enough."""
+"""Correction of pixels' slopes that is found at the middles of cells: of long waves, so that few places are enough."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SlopePair = tuple[Float32Array, Float32Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellCorrection:
-    """What slopes of pixels gain, at the middles of cells.
+    """Change of pixels' slopes, at the middles of cells.
 
     p, q : float32 arrays of shape (h, w), to be added
     sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
