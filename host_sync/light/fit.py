@@ -29,7 +29,8 @@ UNKNOWN: Final = 1e3
 """Standard deviation of an intensity that no source predicts."""
 
 MIN_GAIN: Final = 0.98
-"""Held-out error, relative to that before, which a model with more freedom must reach."""
+"""Held-out error, relative to that before, which a model with one source more a channel must reach, and which every
+source must pay for against a model without sources."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,12 +87,11 @@ def fit_light(
         found, held_out = more, again
         bundle = bundle.with_sigma_of(found)
         held_out = bundle.held_out(found)
-    starts = (
-        (found, bundle.held_out_sigma(found)),
-        (bundle.without_sources(found), np.full_like(bundle.sigma, UNKNOWN)),
-    )
-    fits = [(*_with_residual(bundle, numbers), sigma) for numbers, sigma in starts]
-    bundle, found, source_sigma = min(fits, key=lambda fit: fit[0].held_out(fit[1]))
+    source_sigma = bundle.held_out_sigma(found)
+    lit, plain = _with_residual(bundle, found), _with_residual(bundle, bundle.without_sources(found))
+    if lit[0].held_out(lit[1]) > MIN_GAIN ** len(found.place) * plain[0].held_out(plain[1]):
+        lit, source_sigma = plain, np.full_like(source_sigma, UNKNOWN)
+    bundle, found = lit
     sigma = bundle.held_out_sigma(found)
     model, *folds = (
         replace(bundle.model(numbers), sigma=sigma, source_sigma=source_sigma)

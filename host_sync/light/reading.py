@@ -13,7 +13,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, Float64Array, GradientField
 from host_sync.integration.datum import cell_means
-from host_sync.kernels.cell_rows import WHOLE_CELL, cell_px, means_of_cells, middles_of_cells
+from host_sync.kernels.cell_rows import WHOLE_CELL, WIDEST_CELLS, means_of_cells, middles_of_cells
 from host_sync.light.bent_cells import slopes_hidden_by_means
 from host_sync.light.cell_correction import CellCorrection, SlopePair
 from host_sync.light.cells import SHADOW_WEIGHT, Cells, CellSlopes
@@ -40,6 +40,7 @@ def correct_slopes(
     elevation: ElevationCorrection,
     alone: Float32Array | None = None,
     rest: RestEvidence | None = None,
+    cells_across: int = WIDEST_CELLS,
 ) -> CellCorrection:
     """Return what slopes (H, W) by the inverse map gain.
 
@@ -48,8 +49,9 @@ def correct_slopes(
     alone : intensity of each channel under its own light alone, shape (H, W, C); None where single lights were not
         taken
     rest : where light shows skin at rest; None without a reference
+    cells_across : cells along the columns, at most
     """
-    cell = cell_px(gradients.p.shape)
+    cell = -(-gradients.p.shape[1] // cells_across)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     size = p.shape[0], p.shape[1]
     bend = slopes_hidden_by_means(gradients, size, cell).reshape(-1, 2)

@@ -31,6 +31,9 @@ from host_sync.reconstruction.slope_reading import uncorrected
 WIDEST_PX: Final = 384
 """Columns of a coarse frame, at most."""
 
+CELLS_ACROSS: Final = 64
+"""Cells along a coarse frame's columns on which the light model is solved, at most: its changes are long waves."""
+
 
 def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float32Array) -> Calibration:
     """Return the calibration of the same field at the reference's size: positions are fractions of the field.
@@ -131,8 +134,9 @@ def read_coarse(
     correction = None
     if method == "direct":
         correction = correct_slopes(
-            gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation, rest=evidence
-        )
+            gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation,
+            rest=evidence, cells_across=CELLS_ACROSS,
+        )  # fmt: skip
         correction.apply(gradients)
     gain_p, gain_q = gradients.p - read_p, gradients.q - read_q
     weight = np.asarray(gradients.weight / np.maximum(sure, np.float32(1e-12)), np.float32)
