@@ -215,8 +215,9 @@ def calibrate(
     tell("fitting the light model")
     positions = np.asarray(lamps_mm, np.float64) * (1e3 / pitch_um / flat_field.shape[1]) if lamps_mm else None
     lowered = LoweredBalls.of(located, begun.fit, slope_sigma_of(begun.fit.held_out_deg), positions)
-    located = lowered.presses
-    begun = fit_to(located, light, begun)
+    if lowered.light.has_sources:
+        located = lowered.presses
+        begun = fit_to(located, light, begun)
     inverse = begun.finished()
     inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
     if reference:
@@ -240,7 +241,9 @@ def calibrate(
     prior_sigma = slope_sigma_of(inverse.held_out_deg)
     seen = elevation_correction(kept, training, inverse.map)
     elevation = lowered.elevation(seen)
-    over_cells = held_out_readers(lowered.light, inverse.map, kept, elevation, prior_sigma)
+    over_cells = None
+    if lowered.light.has_sources:
+        over_cells = held_out_readers(lowered.light, inverse.map, kept, elevation, prior_sigma)
     left = seen.shared(lowered.light.model.uncertain_fraction(prior_sigma))
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     images = [image for image, _ in kept] if reference else []

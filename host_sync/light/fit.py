@@ -25,9 +25,6 @@ MAX_ADDED: Final = 2
 """Sources that are added to the first one of each channel, at most."""
 RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Prior standard deviations of the residual field's coefficients that are tried."""
-UNKNOWN: Final = 1e3
-"""Standard deviation of an intensity that no source predicts."""
-
 MIN_GAIN: Final = 0.98
 """Held-out error, relative to that before, which a model with one source more a channel must reach, and which every
 source must pay for against a model without sources."""
@@ -37,14 +34,19 @@ source must pay for against a model without sources."""
 class FittedLight:
     """The light model of a calibration.
 
-    model : fitted to all balls
-    folds : fitted without every K-th ball, from each of the first K on
+    model : fitted to all balls; without sources where these predict held-out balls no better than a polynomial does
+    folds : fitted without every K-th ball, from each of the first K on; none without sources
     shift_px : float64 array of shape (balls, 2), what the fit adds to each centre's column and row
     """
 
     model: LightModel
     folds: tuple[LightModel, ...]
     shift_px: Float64Array
+
+    @property
+    def has_sources(self) -> bool:
+        """True where sources explain the balls: else the model predicts nothing."""
+        return len(self.model.sources) > 0
 
     def without(self, ball: int) -> LightModel:
         """Return the model without the fold of the ball of this number."""
@@ -88,10 +90,10 @@ def fit_light(
         bundle = bundle.with_sigma_of(found)
         held_out = bundle.held_out(found)
     source_sigma = bundle.held_out_sigma(found)
-    lit, plain = _with_residual(bundle, found), _with_residual(bundle, bundle.without_sources(found))
-    if lit[0].held_out(lit[1]) > MIN_GAIN ** len(found.place) * plain[0].held_out(plain[1]):
-        lit, source_sigma = plain, np.full_like(source_sigma, UNKNOWN)
-    bundle, found = lit
+    plain, polynomial = _with_residual(bundle, bundle.without_sources(found))
+    bundle, found = _with_residual(bundle, found)
+    if bundle.held_out(found) > MIN_GAIN ** len(found.place) * plain.held_out(polynomial):
+        return FittedLight(plain.model(bundle.without_sources(found)), (), np.zeros_like(found.shift))
     sigma = bundle.held_out_sigma(found)
     model, *folds = (
         replace(bundle.model(numbers), sigma=sigma, source_sigma=source_sigma)

@@ -62,7 +62,8 @@ class ChannelReading:
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
     gradients : slopes of `intensity`, corrected
-    correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method
+    correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method and
+        where no sources explain the balls
     meanwhile : found while the correction was looked for
     rest : where the light is that of skin at rest; None without a reference
     """
@@ -209,7 +210,7 @@ def _read_channels(
     meanwhile.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = None
-    if method == "direct":
+    if method == "direct" and calibration.light.has_sources:
         correction = correct_slopes(
             gradients, intensity, calibration.light, calibration.prior_sigma, calibration.elevation, alone, rest
         )
