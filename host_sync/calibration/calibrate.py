@@ -45,7 +45,7 @@ from host_sync.johnson2009.held_out import held_out_paper_deg
 from host_sync.johnson2009.model import PaperModel, fit_paper_model
 from host_sync.light.fit import FittedLight
 from host_sync.light.model import Position
-from host_sync.light.presses import held_out_readers
+from host_sync.light.presses import confirmed_fraction, held_out_readers
 from host_sync.lights.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
@@ -241,18 +241,18 @@ def calibrate(
     prior_sigma = slope_sigma_of(inverse.held_out_deg)
     seen = elevation_correction(kept, training, inverse.map)
     elevation = lowered.elevation(seen)
-    over_cells = None
-    if lowered.light.has_sources:
-        over_cells = held_out_readers(lowered.light, inverse.map, kept, elevation, prior_sigma)
-    left = seen.shared(lowered.light.model.uncertain_fraction(prior_sigma))
+    confirmed = confirmed_fraction(lowered.light, inverse.replicas or (inverse.map,), kept, elevation, prior_sigma)
+    fitted = replace(lowered.light, confirmed=confirmed)
+    over_cells = held_out_readers(fitted, inverse.map, kept, elevation, prior_sigma) if confirmed else None
+    left = seen.shared(1.0 - confirmed * (1.0 - fitted.model.uncertain_fraction(prior_sigma)))
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     images = [image for image, _ in kept] if reference else []
     levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)
     null_colour = None if shrinkage is None else learn_null_colour(training, inverse.map, shrinkage.noise)
     noise = _slope_noise(shrinkage, inverse, training, null_colour, demosaiced=presses[0].frame.demosaiced)
     digest = _digest(
-        inverse, flat_field, pitch_um, shrinkage, lowered.light, levels, viewpoint, noise, null_colour, at_rest,
-        (prior_sigma, elevation.apex_px, elevation.radius_px, elevation.nearness_per_px),
+        inverse, flat_field, pitch_um, shrinkage, fitted, levels, viewpoint, noise, null_colour, at_rest,
+        (prior_sigma, confirmed, elevation.apex_px, elevation.radius_px, elevation.nearness_per_px),
     )  # fmt: skip
     return Calibration(
         calibration_id=digest,
@@ -267,7 +267,7 @@ def calibrate(
         held_out_deg=held_out,
         assessment=assessment,
         frame_model=frame_model,
-        light=lowered.light,
+        light=fitted,
         elevation=elevation,
         shrinkage=shrinkage,
         slope_noise=noise,

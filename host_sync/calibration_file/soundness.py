@@ -68,7 +68,7 @@ LARGEST_GAIN: Final = 10.0
 LARGEST_PLACE: Final = 10.0
 LARGEST_LEVEL: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
-MIN_FOLDS: Final = 2
+MIN_FOLDS: Final = 1
 MIN_HEIGHT_PX: Final = 1.0
 LARGEST_BLUR_PX: Final = 5.0
 
@@ -215,14 +215,16 @@ def _check_fitted_lights(calibration: Calibration) -> None:
         if not (
             model.shape == calibration.flat_field.shape[:2]
             and np.isfinite(numbers).all()
-            and float(model.sources[:, 2].min()) > 0.0
+            and bool((model.sources[:, 2] > 0.0).all())
             and min(float(model.sigma.min()), float(model.source_sigma.min())) > 0.0
-            and float(model.strengths.min()) >= 0.0
-            and float(model.strengths.sum(axis=1).min()) > 0.0
+            and bool((model.strengths >= 0.0).all())
+            and float(model.rest(np.zeros(1), np.zeros(1)).min()) > 0.0
             and min(model.gloss_width, model.tail) > 0.0
             and float(np.abs(model.residual).max()) < LARGEST_COEFFICIENT
         ):
             raise Unsound("sources and a coat that no instrument has")
+    if not 0.0 <= light.confirmed <= 1.0:
+        raise Unsound("a light model of which balls confirm less than nothing or more than all")
     if len(light.folds) < MIN_FOLDS:
         raise Unsound("a light model without folds")
 

@@ -72,6 +72,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
         "steepest_slope_deg": float(np.degrees(np.arctan(inverse.map.max_trained_slope))),
         "reads": "intensity" if inverse.map.near is None else "slopes of a matt skin under near lights",
         "sources": len(calibration.light.model.sources),
+        "confirmed": calibration.light.confirmed,
         "albedo": calibration.light.model.albedo,
         "held_out_intensity_error": calibration.light.model.sigma.tolist(),
         "degree_in_colour": inverse.map.own.colour_degree,

@@ -23,25 +23,31 @@ MAX_SHARE: Final = 0.1
 """Share of a cell's slope that may be hidden; slopes that differ by more are misread."""
 
 
-def slopes_hidden_by_means(gradients: GradientField, size: tuple[int, int], cell: int) -> Float64Array:
+def slopes_hidden_by_means(
+    gradients: GradientField, size: tuple[int, int], cell: int
+) -> tuple[Float64Array, Float64Array]:
     """Return how much mean slopes of `size` (h, w) cells are steeper than their mean light shows, shape (h, w, 2).
 
-    Over a cell slopes differ as pixels show, and within a pixel as they change over the camera's blur.
+    Over a cell slopes differ as pixels show, and within a pixel as they change over the camera's blur. The other array,
+    of shape (h, w, 3), holds the covariance of the pixels' normals: of their components along columns, of both, and
+    along rows.
 
     gradients : slopes of pixels
     cell : pixels along a cell
     """
-    sums = np.zeros((9, *size), np.float32)
+    sums = np.zeros((12, *size), np.float32)
     step = max(1, cell // SAMPLES)
     parallel_rows(_add_normals, size, gradients.p, gradients.q, gradients.valid, cell, step, sums)
-    p, q, p_normal, q_normal, normal, pp, pq, qq = sums[:8].astype(np.float64) / np.maximum(sums[8], 1.0)
+    means = sums.astype(np.float64) / np.maximum(sums[8], 1.0)
+    p, q, p_normal, q_normal, normal, pp, pq, qq = means[:8]
+    spread = means[9:] - np.stack([p_normal * p_normal, p_normal * q_normal, q_normal * q_normal])
     square, normal = 1.0 + p * p + q * q, np.maximum(normal, 1e-6)
     blur = 0.25 * BLUR_PX**2
     p_hidden = p - p_normal / normal + blur * (pp * p + pq * q) / square
     q_hidden = q - q_normal / normal + blur * (pq * p + qq * q) / square
     share = np.hypot(p_hidden, q_hidden) / np.maximum(np.sqrt(square - 1.0), 1e-12)
     believed = np.minimum(1.0, MAX_SHARE / np.maximum(share, 1e-12))
-    return np.stack([believed * p_hidden, believed * q_hidden], axis=-1)
+    return np.stack([believed * p_hidden, believed * q_hidden], axis=-1), np.moveaxis(spread, 0, -1)
 
 
 @njit(cache=True, nogil=True)
@@ -63,6 +69,9 @@ def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, fi
                 sums[3, i, j] += y * normal
                 sums[4, i, j] += normal
                 sums[8, i, j] += one
+                sums[9, i, j] += x * normal * x * normal
+                sums[10, i, j] += x * normal * y * normal
+                sums[11, i, j] += y * normal * y * normal
                 inner = 0 < r < rows - 1 and 0 < c < columns - 1
                 if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
                     px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]

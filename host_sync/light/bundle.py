@@ -32,6 +32,8 @@ PRIOR_SAMPLES: Final = 300.0
 """Samples that priors of sources and coat outweigh."""
 FIRST_HEIGHT: Final = 0.3
 """Height of a source's own, relative to its elevation, from which the search begins."""
+FIXED: Final = 1e-9
+"""Prior standard deviation of numbers that are 0."""
 GENTLE: Final = 0.35
 """Slopes up to which samples place the first sources."""
 ROUNDS: Final = 25
@@ -51,7 +53,8 @@ class Bundle:
     sigma : float64 array of shape (C,), standard deviation of the intensity's error
     steepest : slope up to which the samples are dense
     residual_sigma : prior standard deviation of the residual's coefficients
-    stage : what is searched for besides the balls' centres; the other numbers stay
+    stage : what is searched for besides the balls' centres: numbers of sources, or the residual, of which elevation is
+        a part or not; the other numbers stay
     """
 
     rows: np.ndarray
@@ -70,7 +73,7 @@ class Bundle:
     sigma: Float64Array
     steepest: float
     residual_sigma: float = 0.003
-    stage: Literal["sources", "residual"] = "sources"
+    stage: Literal["sources", "residual", "normals"] = "sources"
 
     @classmethod
     def of(
@@ -203,6 +206,9 @@ class Bundle:
         """Expected values of all numbers, and weights of their differences from them."""
         weight = len(self.ball) / PRIOR_SAMPLES
         radius = np.array([one.radius_px for one in self.balls])
+        residual = np.full((len(numbers.haze), TERMS, PLACES), self.residual_sigma * np.sqrt(weight))
+        if self.stage == "normals":
+            residual[:, -1] = FIXED
         expected = replace(
             numbers, extent=np.full_like(numbers.extent, 0.2), haze=np.zeros_like(numbers.haze),
             albedo=np.array([0.4]), coat=COAT_START, shift=np.zeros_like(numbers.shift),
@@ -212,7 +218,7 @@ class Bundle:
             numbers, place=np.full_like(numbers.place, 10.0), extent=np.full_like(numbers.extent, 0.5),
             strength=np.ones_like(numbers.strength), haze=np.full_like(numbers.haze, 0.05), albedo=np.array([0.5]),
             coat=COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
-            residual=np.full_like(numbers.residual, self.residual_sigma * np.sqrt(weight)),
+            residual=residual.reshape(numbers.residual.shape),
         )  # fmt: skip
         return expected.packed(), weight / sigmas.packed() ** 2
 
@@ -255,7 +261,7 @@ class Bundle:
         error = terms.shown - self.intensity
         columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []
         columns += self._shift_columns(numbers, terms)
-        features = terms.features if self.stage == "residual" else terms.features[:, :0]
+        features = terms.features[:, :0] if self.stage == "sources" else terms.features
         weight = 1.0 / (self.sigma**2 + np.square(error / OUTLYING))
         jacobian = _Jacobian(np.stack(columns, axis=-1), features, error, weight)
         system, gradient = jacobian.normal_equations(np.ones(len(self.ball), np.bool_))

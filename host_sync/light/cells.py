@@ -34,6 +34,9 @@ MAX_MOVE: Final = 0.3
 HIDDEN_SIGMA: Final = 0.3
 """Standard uncertainty of light that other skin hides, as a fraction of it: heights on the ray are not sure."""
 
+UNEVEN_ERROR: Final = 0.3
+"""Standard uncertainty of what slopes that differ within a cell change, as a fraction of it: a blur hides a part."""
+
 OUTLYING: Final = 4.0
 """Standard deviations at which an error of the intensity counts half."""
 
@@ -68,6 +71,8 @@ class Cells:
     kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), as of `RestEvidence`;
         None where it shows none
     zero_sigma_px : standard uncertainty of the elevation of the whole field
+    uneven : what `intensity` gained as slopes differ within a cell, shape (N, C), and was corrected for; None for
+        nothing
     arriving : fraction of each channel's light that arrives as frames of single lights show, shape (N, C); None
         without such frames
     """
@@ -86,6 +91,7 @@ class Cells:
     elevation: ElevationCorrection | None = None
     kept: Float32Array | None = None
     zero_sigma_px: float = 0.0
+    uneven: Float64Array | None = None
     arriving: Float64Array | None = None
 
     @cached_property
@@ -134,6 +140,8 @@ class Cells:
         skin = (x, y, z, rest, found.visible, incoming, residual)
         by_zero = residual[..., -1] * (self.zero_sigma_px / model.shape[1] / ELEVATION)
         variance = model.variance(found.slope) + np.square(by_zero)
+        if self.uneven is not None:
+            variance += np.square(UNEVEN_ERROR * self.uneven)
         limits = (STEP, MAX_MOVE, HIDDEN_SIGMA, OUTLYING, ELEVATION)
         work = len(slope), 40 * steps * len(model.sources)
         parallel_rows(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -25,9 +25,16 @@ MAX_ADDED: Final = 2
 """Sources that are added to the first one of each channel, at most."""
 RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Prior standard deviations of the residual field's coefficients that are tried."""
+NO_SOURCE_SIGMA: Final = 1e3
+"""Error of the intensity that no sources predict."""
 MIN_GAIN: Final = 0.98
 """Held-out error, relative to that before, which a model with one source more a channel must reach, and which every
 source must pay for against a model without sources."""
+
+
+WIDENING: Final = 4.0
+"""Standard uncertainty of the inverse map's slopes in a search without sources, relative to that on held-out balls: map
+and model are two estimates there, which `FittedLight.confirmed` weighs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,18 +42,24 @@ class FittedLight:
     """The light model of a calibration.
 
     model : fitted to all balls; without sources where these predict held-out balls no better than a polynomial does
-    folds : fitted without every K-th ball, from each of the first K on; none without sources
+    folds : fitted without every K-th ball, from each of the first K on
     shift_px : float64 array of shape (balls, 2), what the fit adds to each centre's column and row
+    confirmed : fraction of what the model changes of slopes that held-out balls confirm
     """
 
     model: LightModel
     folds: tuple[LightModel, ...]
     shift_px: Float64Array
+    confirmed: float = 1.0
 
     @property
     def has_sources(self) -> bool:
-        """True where sources explain the balls: else the model predicts nothing."""
+        """True where sources explain the balls: else a polynomial of the normal and the place does."""
         return len(self.model.sources) > 0
+
+    def search_sigma(self, prior_sigma: float) -> float:
+        """Return the standard uncertainty of the inverse map's slopes in the search, from that on held-out balls."""
+        return prior_sigma if self.has_sources else WIDENING * prior_sigma
 
     def without(self, ball: int) -> LightModel:
         """Return the model without the fold of the ball of this number."""
@@ -93,7 +106,9 @@ def fit_light(
     plain, polynomial = _with_residual(bundle, bundle.without_sources(found))
     bundle, found = _with_residual(bundle, found)
     if bundle.held_out(found) > MIN_GAIN ** len(found.place) * plain.held_out(polynomial):
-        return FittedLight(plain.model(bundle.without_sources(found)), (), np.zeros_like(found.shift))
+        # A ball shows each tilt at one elevation: without sources, elevation is not told from tilt.
+        source_sigma = np.full(len(found.haze), NO_SOURCE_SIGMA)
+        bundle, found = _with_residual(bundle, bundle.without_sources(found), "normals")
     sigma = bundle.held_out_sigma(found)
     model, *folds = (
         replace(bundle.model(numbers), sigma=sigma, source_sigma=source_sigma)
@@ -102,11 +117,13 @@ def fit_light(
     return FittedLight(model, tuple(folds), found.shift)
 
 
-def _with_residual(bundle: Bundle, numbers: Numbers) -> tuple[Bundle, Numbers]:
+def _with_residual(
+    bundle: Bundle, numbers: Numbers, stage: Literal["residual", "normals"] = "residual"
+) -> tuple[Bundle, Numbers]:
     """Return the fit with a residual field over fixed sources, of the prior that held-out balls prefer."""
     fits = []
     for sigma in RESIDUAL_SIGMAS:
-        wider = replace(bundle, residual_sigma=sigma, stage="residual")
+        wider = replace(bundle, residual_sigma=sigma, stage=stage)
         numbers = wider.solve(numbers)
         fits.append((wider.held_out(numbers), wider, numbers))
     return min(fits, key=lambda fit: fit[0])[1:]

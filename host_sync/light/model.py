@@ -141,6 +141,27 @@ class LightModel:
         """Return the residual's coefficients at places: shape (N, C, terms)."""
         return np.asarray(np.einsum("cmt,nt->ncm", self.residual, place_terms(x, y, self.shape)))
 
+    def residual_gain(
+        self, slope: Float64Array, places: tuple[Float64Array, Float64Array, Float64Array], spread: Float64Array
+    ) -> Float64Array:
+        """Return what the mean of the residual over normals gains by their covariance, to second order: (N, C).
+
+        slope : of the mean normal, shape (N, 2)
+        places : as of `places`
+        spread : covariance of the normals, shape (N, 3), as of `slopes_hidden_by_means`
+        """
+        up = 1.0 / np.sqrt(1.0 + np.square(slope).sum(axis=1))
+        across, down = -slope[:, 0] * up, -slope[:, 1] * up
+        gain = np.zeros((len(slope), len(MONOMIALS)))
+        for term, (i, j) in enumerate(MONOMIALS):
+            second = (
+                (i * (i - 1), i - 2, j, 0.5), (i * j, i - 1, j - 1, 1.0), (j * (j - 1), i, j - 2, 0.5)
+            )  # fmt: skip
+            for part, (factor, k, m, half) in enumerate(second):
+                if factor:
+                    gain[:, term] += half * factor * across**k * down**m * spread[:, part]
+        return np.asarray(np.einsum("ncm,nm->nc", self.residual_at(*places[:2])[..., :-1], gain))
+
     def places(
         self, column: Float64Array, row: Float64Array, z_px: Float64Array
     ) -> tuple[Float64Array, Float64Array, Float64Array]:

@@ -54,7 +54,7 @@ def correct_slopes(
     cell = -(-gradients.p.shape[1] // cells_across)
     p, q, known = cell_means(gradients.p, gradients.q, gradients.valid, cell)
     size = p.shape[0], p.shape[1]
-    bend = slopes_hidden_by_means(gradients, size, cell).reshape(-1, 2)
+    bend, spread = (part.reshape(-1, part.shape[-1]) for part in slopes_hidden_by_means(gradients, size, cell))
     intensity = means_of_cells(image.values, size, cell).reshape(bend.shape[0], -1)
     whole = means_of_cells(image.faithful.astype(np.float32)[..., None], size, cell).ravel()
     faithful = (whole > WHOLE_CELL) & known.ravel() & np.isfinite(intensity).all(axis=1)
@@ -63,9 +63,10 @@ def correct_slopes(
     if alone is not None:
         shown = means_of_cells(alone, size, cell).reshape(bend.shape[0], -1)
         arriving = np.clip((shown - ARRIVES[0]) / (ARRIVES[1] - ARRIVES[0]), 0.0, 1.0)
-    known_intensity = np.where(faithful[:, None], intensity, 1.0)
     columns, rows = np.meshgrid(*middles_of_cells(size, cell)[::-1])
     places = columns.ravel(), rows.ravel()
+    uneven = light.model.residual_gain(start, light.model.places(*places, np.zeros(len(start))), spread)
+    known_intensity = np.where(faithful[:, None], intensity - uneven, 1.0)
     kept, zero_sigma_px = None, 0.0
     if rest is not None and not rest.has_rest:
         zero_sigma_px = elevation.apex_px
@@ -73,14 +74,15 @@ def correct_slopes(
         kept = np.asarray(cv2.resize(rest.kept, size[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
     believed = light.model.believed_fraction(prior_sigma)
     cells = Cells(
-        light.model, size, cell, *places, known_intensity, faithful, start, bend, prior_sigma, believed, elevation,
-        kept, zero_sigma_px, arriving,
+        light.model, size, cell, *places, known_intensity, faithful, start, bend, light.search_sigma(prior_sigma),
+        believed, elevation if light.has_sources else None, kept, zero_sigma_px, uneven, arriving,
     )  # fmt: skip
     found = cells.solve()
     raised = None if rest is None or rest.has_rest else solve_raised(cells, found, rest.gain_sigma)
     if raised is not None:
         cells, found = raised.cells, raised.found
-    change = np.where(faithful[:, None], found.slope - start, 0.0).astype(np.float32).reshape(*size, 2)
+    change = np.where(faithful[:, None], light.confirmed * (found.slope - start), 0.0)
+    change = change.astype(np.float32).reshape(*size, 2)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     shadow = found.shadow.astype(np.float32).reshape(size)
     unsure = np.float32(SHADOW_SIGMA) * shadow
@@ -117,7 +119,10 @@ def _deviations(cells: Cells, found: CellSlopes, light: FittedLight, raised: Rai
         p, q = (found[..., axis].reshape(-1, *cells.size) for axis in (0, 1))
         return p, q
 
-    p, q = map(jackknifed, moves([shown - model.intensity(slope, places, incoming) for model in light.folds]))
+    p, q = (
+        light.confirmed * jackknifed(part)
+        for part in moves([shown - model.intensity(slope, places, incoming) for model in light.folds])
+    )
     if raised is None:
         return p, q
     risen = moves([-design @ deviation for deviation in raised.deviations])

@@ -210,7 +210,7 @@ def _read_channels(
     meanwhile.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = None
-    if method == "direct" and calibration.light.has_sources:
+    if method == "direct" and calibration.light.confirmed:
         correction = correct_slopes(
             gradients, intensity, calibration.light, calibration.prior_sigma, calibration.elevation, alone, rest
         )

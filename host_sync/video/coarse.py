@@ -132,7 +132,7 @@ def read_coarse(
     gradients = uncorrected(image, calibration, method)
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
     correction = None
-    if method == "direct" and calibration.light.has_sources:
+    if method == "direct" and calibration.light.confirmed:
         correction = correct_slopes(
             gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation,
             rest=evidence, cells_across=CELLS_ACROSS,

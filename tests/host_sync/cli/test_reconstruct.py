@@ -185,7 +185,8 @@ def test_the_calibration_report_names_every_ball(results: Path) -> None:
     assert report["passed"] is True
     assert report["presses"][3]["image"] == "press3.png"
     assert report["next_presses"] == []
-    assert report["corrected_by"] == "lamps fitted to the balls"
+    assert report["sources"] >= 3
+    assert report["confirmed"] == 1.0
     assert report["reads"] in ("intensity", "slopes of a matt skin under near lights")
     elevation, (ball, *_) = report["slope_error"]["elevation"], report["presses"][0]["balls"]
     assert (

@@ -25,7 +25,7 @@ def means(values: np.ndarray) -> np.ndarray:
 
 
 def hidden(gradients: GradientField) -> np.ndarray:
-    return slopes_hidden_by_means(gradients, (SHAPE[0] // CELL, SHAPE[1] // CELL), CELL)
+    return slopes_hidden_by_means(gradients, (SHAPE[0] // CELL, SHAPE[1] // CELL), CELL)[0]
 
 
 def of_mean_normal(p: np.ndarray, q: np.ndarray, blur_px: float) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_pixels_that_are_not_known_count_for_nothing() -> None:
 def test_of_large_cells_some_pixels_are_enough() -> None:
     p = 0.4 + 0.25 * np.sin(2.0 * np.pi * (COLUMN + 0.7 * ROW) / 31.0)
     gradients = field(p, 0.5 * p)
-    some = slopes_hidden_by_means(gradients, (5, 8), 16)[:, :-1]
+    some = slopes_hidden_by_means(gradients, (5, 8), 16)[0][:, :-1]
     shortened = 1.0 / np.sqrt(1.0 + 1.25 * p * p)
     every = [part[:, :112].reshape(5, 16, 7, 16).mean(axis=(1, 3)) for part in (p, p * shortened, shortened)]
     np.testing.assert_allclose(some[..., 0], every[0] - every[1] / every[2], rtol=0.15, atol=6e-4)
@@ -79,3 +79,14 @@ def test_slopes_that_contradict_each_other_hide_no_more_than_a_tenth() -> None:
     p = np.where((ROW + COLUMN) % 2 == 0, 2.0, 0.2)
     found = hidden(field(p, np.zeros(SHAPE)))
     np.testing.assert_allclose(found[..., 0], 0.11, rtol=1e-3)
+
+
+def test_the_spread_of_a_cell_is_the_covariance_of_its_normals() -> None:
+    p = 0.4 + 0.25 * np.sin(2.0 * np.pi * COLUMN / 18.0)
+    q = 0.2 * np.cos(2.0 * np.pi * (COLUMN + 2.0 * ROW) / 25.0)
+    spread = slopes_hidden_by_means(field(p, q), (SHAPE[0] // CELL, SHAPE[1] // CELL), CELL)[1]
+    length = np.sqrt(1.0 + p * p + q * q)
+    x, y = p / length, q / length
+    exact = [means(a * b) - means(a) * means(b) for a, b in ((x, x), (x, y), (y, y))]
+    assert exact[0].max() > 3e-4
+    np.testing.assert_allclose(spread, np.stack(exact, axis=-1), atol=2e-6)
