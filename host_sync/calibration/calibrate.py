@@ -244,7 +244,7 @@ def calibrate(
     confirmed = confirmed_fraction(lowered.light, inverse.replicas or (inverse.map,), kept, elevation, prior_sigma)
     fitted = replace(lowered.light, confirmed=confirmed)
     over_cells = held_out_readers(fitted, inverse.map, kept, elevation, prior_sigma) if confirmed else None
-    left = seen.shared(1.0 - confirmed * (1.0 - fitted.model.uncertain_fraction(prior_sigma)))
+    left = seen.shared(fitted.model.uncertain_fraction(prior_sigma)) if fitted.has_sources else seen
     error = measure_slope_error(kept, training, inverse, left, over_cells)
     images = [image for image, _ in kept] if reference else []
     levels = with_stray_light(PressLevels.of(images, inverse.map), images, flat_field, inverse.map)

@@ -68,7 +68,7 @@ LARGEST_GAIN: Final = 10.0
 LARGEST_PLACE: Final = 10.0
 LARGEST_LEVEL: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
-MIN_FOLDS: Final = 1
+MIN_FOLDS: Final = 2
 MIN_HEIGHT_PX: Final = 1.0
 LARGEST_BLUR_PX: Final = 5.0
 
@@ -225,7 +225,7 @@ def _check_fitted_lights(calibration: Calibration) -> None:
             raise Unsound("sources and a coat that no instrument has")
     if not 0.0 <= light.confirmed <= 1.0:
         raise Unsound("a light model of which balls confirm less than nothing or more than all")
-    if len(light.folds) < MIN_FOLDS:
+    if len(light.folds) < min(MIN_FOLDS, len(light.shift_px)):
         raise Unsound("a light model without folds")
 
 

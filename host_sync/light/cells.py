@@ -107,9 +107,11 @@ class Cells:
         return self.model.light(level, level, x, y, level)
 
     def solve(self) -> CellSlopes:
-        """Return the slopes of the largest posterior."""
-        solver = Integrator(self.size)
+        """Return the slopes of the largest posterior; without sources, heights change no light."""
         found = self._search(CellSlopes.level(self), FIRST_STEPS)
+        if not len(self.model.sources):
+            return self._search(found, STEPS[0])
+        solver = Integrator(self.size)
         for steps in STEPS:
             found = self._search(self._with_heights(found, solver), steps)
         return found

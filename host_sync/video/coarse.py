@@ -19,7 +19,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.lamp_drift import take_drift_out
 from host_sync.calibration.stray_light import take_stray_light_out
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.kernels.cell_rows import bordered, expanded_at
+from host_sync.kernels.cell_rows import WIDEST_CELLS, bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.cell_correction import CellCorrection
@@ -123,11 +123,17 @@ class CoarseReading:
 
 
 def read_coarse(
-    image: NormalizedImage, evidence: RestEvidence | None, calibration: Calibration, method: Method
+    image: NormalizedImage,
+    evidence: RestEvidence | None,
+    calibration: Calibration,
+    method: Method,
+    *,
+    is_whole: bool,
 ) -> CoarseReading:
     """Return the slopes of a coarse image, corrected as those of a single frame are.
 
     evidence : of skin at rest; None without a reference
+    is_whole : the image is not reduced, and its slopes are those of a frame reconstructed alone
     """
     gradients = uncorrected(image, calibration, method)
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
@@ -135,7 +141,7 @@ def read_coarse(
     if method == "direct" and calibration.light.confirmed:
         correction = correct_slopes(
             gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation,
-            rest=evidence, cells_across=CELLS_ACROSS,
+            rest=evidence, cells_across=WIDEST_CELLS if is_whole else CELLS_ACROSS,
         )  # fmt: skip
         correction.apply(gradients)
     gain_p, gain_q = gradients.p - read_p, gradients.q - read_q

@@ -200,7 +200,7 @@ class FrameSolver:
         evidence = None if at_rest is None else at_rest.evidence(image, squares)
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
-        reading = read_coarse(image, evidence, self._coarse, self.method)
+        reading = read_coarse(image, evidence, self._coarse, self.method, is_whole=self._cell == 1)
         gradients = reading.gradients if self._cell == 1 else self._fine_slopes(intensity, reading)
         if self._calibration.viewpoint is not None:
             gradients = seen_slopes(gradients, self._calibration.viewpoint, out=gradients)

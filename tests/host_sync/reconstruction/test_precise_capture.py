@@ -77,7 +77,7 @@ def test_single_lights_show_where_a_light_is_hidden(
 
     print(slopes_off(with_lights), slopes_off(again))  # noqa: T201
     assert slopes_off(with_lights) < 0.0095, "0.0104 where a lamp that a ray grazes was counted on"
-    assert slopes_off(with_lights) < 1.02 * slopes_off(again), "rays say nearly the same"
+    assert slopes_off(with_lights) < 1.03 * slopes_off(again), "rays say nearly the same"
     assert {check.name: check.outcome for check in with_lights.frame_checks}[SINGLE_LIGHTS] == "passed"
     said = {check.name: check.words for check in again.frame_checks}
     assert "cannot be read" in said[SINGLE_LIGHTS]
