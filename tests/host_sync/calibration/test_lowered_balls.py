@@ -104,7 +104,7 @@ def test_light_that_does_not_depend_on_elevation_is_not_lowered() -> None:
     """Its direction changes over the field as that of near lamps, and yet it shows no elevation."""
     presses = located(NEAR, seen_at=0.0)
     lowered = LoweredBalls.of(presses, inverse_of(presses), SLOPE_SIGMA, None)
-    assert rms(presses, lowered.presses) < 0.022, "an error of the model: 0.084 where all of the elevation counts"
+    assert rms(presses, lowered.presses) < 0.022, "0.032 where all of the elevation counts"
 
 
 def test_lowered_balls_show_slopes_at_what_remains_of_their_elevation() -> None:
