@@ -121,8 +121,18 @@ class Cells:
         return self._search(self._with_heights(found, Integrator(self.size), elevation_px), steps)
 
     def solve_at(self, found: CellSlopes, z_px: Float32Array, steps: int) -> CellSlopes:
-        """Return slopes at given elevations, shape (h, w)."""
+        """Return slopes of unshaded skin at given elevations, shape (h, w)."""
         return self._search(replace(found, z_px=z_px), steps)
+
+    def confirmed_change(self, found: CellSlopes, confirmed: float) -> Float64Array:
+        """Return what `start` gains, shape (N, 2): all that sources predict, of the rest the confirmed fraction.
+
+        Sources predict what elevation and light from other skin change, and that the inverse map is wrong in shadow.
+        """
+        certain = (1.0 - confirmed) * (1.0 - found.shadow[:, None])
+        expected = self.start - self.believed * found.misread
+        slope = found.slope - certain * (found.slope - expected)
+        return np.where(self.faithful[:, None], slope - self.start, 0.0)
 
     def _search(self, found: CellSlopes, steps: int) -> CellSlopes:
         """Move slopes by Gauss-Newton steps; heights, visibility and incoming light stay."""

@@ -127,14 +127,13 @@ def confirmed_fraction(
 ) -> float:
     """Return the fraction of the light model's changes of slopes that leaves the least error on held-out balls, 0 to 1.
 
-    Without sources, map and model are two estimates of the same slopes, and the fraction is their weight by least
-    squares (Wolpert, "Stacked generalization", Neural Networks 5, 1992); errors of a centre do not count. Sources also
-    predict what no ball shows, shadow and other elevations, and all is taken. A lone ball confirms nothing.
+    Map and model are two estimates of the same slopes, and the fraction is their weight by least squares (Wolpert,
+    "Stacked generalization", Neural Networks 5, 1992); errors of a centre do not count. A lone ball confirms nothing.
 
     maps : without every K-th ball, from each of the first K on; or one of all balls, by which the fraction is smaller
     """
-    if len(light.folds) < 2 or light.has_sources:
-        return float(light.has_sources)
+    if len(light.folds) < 2:
+        return 0.0
     agreed, square, number = 0.0, 1e-30, 0
     for image, balls in OverCells((), (), cell_px(presses[0][0].shape)).means_of(presses):
         for ball in balls:
@@ -144,15 +143,15 @@ def confirmed_fraction(
             some = some[:: max(1, len(some) // STACKED)]
             row, column = row[some], column[some]
             inverse, places = maps[number % len(maps)], (column.astype(np.float32), row.astype(np.float32))
-            own = replace(light, confirmed=1.0)
-            reader = BallReader(own, own.without(number), inverse, ball, elevation, prior_sigma)
+            reader = BallReader(light, light.without(number), inverse, ball, elevation, prior_sigma)
             number += 1
             if not len(some):
                 continue
             seen, truth = image.values[row, column], np.stack(sphere_slopes(ball, *places), axis=-1)
-            read = inverse.predict(seen, *places)
+            read, all_of_it = inverse.predict(seen, *places), replace(light, confirmed=1.0)
+            best = replace(reader, light=all_of_it).predict(seen, *places)
             scale = 1.0 / (1.0 + (truth**2).sum(axis=1, keepdims=True))
-            change, error = scale * (reader.predict(seen, *places) - read), scale * (truth - read)
+            change, error = scale * (best - read), scale * (truth - read)
             change, error = change - change.mean(axis=0), error - error.mean(axis=0)
             agreed += float((change * error).mean())
             square += float((change * change).mean())
@@ -191,4 +190,4 @@ class BallReader:
         )
         found = CellSlopes.level(cells)
         found = cells.solve_at(found, np.asarray(z_px, np.float32).reshape(1, -1), READER_STEPS)
-        return read + self.light.confirmed * (found.slope - read)
+        return read + cells.confirmed_change(found, self.light.confirmed)

@@ -83,8 +83,7 @@ def correct_slopes(
         raised = solve_raised(cells, found, rest.gain_sigma)
     if raised is not None:
         cells, found = raised.cells, raised.found
-    change = np.where(faithful[:, None], light.confirmed * (found.slope - start), 0.0)
-    change = change.astype(np.float32).reshape(*size, 2)
+    change = cells.confirmed_change(found, light.confirmed).astype(np.float32).reshape(*size, 2)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     shadow = found.shadow.astype(np.float32).reshape(size)
     unsure = np.float32(SHADOW_SIGMA) * shadow
