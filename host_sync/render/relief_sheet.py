@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -157,7 +158,7 @@ def write_relief(
     """Write the relief of a height map as a PNG.
 
     footer : line below it, such as what is zero
-    extrapolated : pixels that are hatched
+    extrapolated : pixels that are hatched, and whose heights the colours need not span
 
     Raises
     ------
@@ -166,11 +167,14 @@ def write_relief(
     """
     small = reduced(height, MAX_COLUMNS)
     exaggeration = exaggeration_for(steep_slope(small))
-    sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(small), exaggeration, title, footer)
-    hatched = None
+    hatched, shown = None, small
     if extrapolated is not None and extrapolated.any():
         rows, columns = small.z_um.shape
         hatched = cv2.resize(extrapolated.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST) > 0
+        measured = np.where(hatched, np.float32(np.nan), small.z_um)
+        if np.isfinite(measured).any():
+            shown = replace(small, z_um=measured)
+    sheet = ReliefSheet(small.z_um.shape, small.pitch_um, height_range_um(shown), exaggeration, title, footer)
     write_picture(path, sheet.draw(small, hatched=hatched))
 
 
