@@ -172,8 +172,8 @@ def calibrate(
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
     tell : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
-    lamps_mm : places of the sources by channel, as of `Position`; empty where it is not known
-    pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
+    lamps_mm : places of the sources by channel, see `Position`; empty where it is not known
+    pupil_height_mm : the camera's height over untouched skin, see `Viewpoint`; None where it is not known
 
     Raises
     ------

@@ -26,7 +26,7 @@ def checks(
     coverage: Coverage,
     shape: PixelShape | None = None,
 ) -> tuple[Check, ...]:
-    """What the report judges; a calibration passes when all do.
+    """Return the checks of the report; a calibration passes when all do.
 
     What is rejected in a press that shows one ball is part of its dent, not another ball.
     """

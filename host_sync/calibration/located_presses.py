@@ -42,7 +42,7 @@ LOOKED_AT: Final = 12
 
 
 def flat_field_of(frames: Sequence[LinearFrame], reference: LinearFrame | None) -> Float32Array:
-    """What a set's frames are divided by: the frame of untouched skin, else a stand-in fitted to the frames."""
+    """Return what frames are divided by: the frame of untouched skin, else a stand-in fitted to the frames."""
     return make_flat_field(reference) if reference else estimate_flat_field(list(frames))
 
 

@@ -47,7 +47,7 @@ class LoweredBalls:
 
         fit : of the inverse map to the presses as they were seen
         prior_sigma : standard uncertainty of its slopes
-        positions : stated places of the sources, as of `fit_light`
+        positions : stated places of the sources, see `fit_light`
         """
         used = apply_fit(located, fit)
         pressed = [(press.intensity, press.balls) for press in used]

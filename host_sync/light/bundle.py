@@ -79,7 +79,7 @@ class Bundle:
     def of(
         cls, samples: BallSamples, balls: Sequence[Ball], apexes_px: Sequence[float], shape: tuple[int, int]
     ) -> Bundle:
-        """Return at most `SAMPLES` of the samples, with skin around that is level; arguments as of `fit_light`."""
+        """Return at most `SAMPLES` of the samples, with skin around that is level; arguments as for `fit_light`."""
         rows = np.random.default_rng(0).permutation(len(samples.p))[:SAMPLES]
         column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
         x, y = (column - 0.5 * (shape[1] - 1)) / shape[1], (row - 0.5 * (shape[0] - 1)) / shape[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -31,7 +31,6 @@ class CellCorrection:
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0
     has_rest : whether some skin may be untouched; False where an object lies under the whole field, as the light shows
-    confidence : of slopes in shadow, as a share of that of others, where their uncertainty is asked; None for `weight`
     """
 
     p: Float32Array
@@ -44,22 +43,12 @@ class CellCorrection:
     unsure: Callable[[], SlopePair] | None = None
     left_alone: Float32Array | None = None
     has_rest: bool = True
-    confidence: float | None = None
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""
         less = np.float32(self.weight - 1.0) * self.shadow
         planes = bordered(np.stack([self.p, self.q, less]))
         parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
-
-    def confidence_in(self, gradients: GradientField) -> GradientField:
-        """The corrected slopes with weights that say how sure they are, instead of how much integration takes them."""
-        if self.confidence is None or not self.shadow.any():
-            return gradients
-        planes = bordered(np.stack([np.float32(share - 1.0) * self.shadow for share in (self.weight, self.confidence)]))
-        weight = np.empty_like(gradients.weight)
-        parallel_rows(_write_confidence, weight.shape, planes, self.cell, gradients.weight, weight)
-        return replace(gradients, weight=weight)
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
         """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
@@ -78,15 +67,3 @@ def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last
             p[r, c] += upper[0, c] + share * step[0, c]
             q[r, c] += upper[1, c] + share * step[1, c]
             weight[r, c] += weight[r, c] * (upper[2, c] + share * step[2, c])
-
-
-@njit(cache=True, nogil=True)
-def _write_confidence(planes: Any, cell: int, weight: Any, out: Any, first: int, last: int) -> None:
-    """Write weights whose share by the first of two planes of cells is replaced by that of the second, in rows."""
-    upper, step = np.empty((len(planes), out.shape[1]), np.float32), np.empty((len(planes), out.shape[1]), np.float32)
-    expanded = -1
-    for r in range(first, last):
-        expanded, share = expanded_at(planes, r, cell, expanded, upper, step)
-        for c in range(out.shape[1]):
-            had, has = upper[0, c] + share * step[0, c], upper[1, c] + share * step[1, c]
-            out[r, c] = weight[r, c] * (np.float32(1.0) + has) / (np.float32(1.0) + had)

@@ -68,7 +68,7 @@ class Cells:
     prior_sigma : standard uncertainty of `start` at the elevations that balls showed
     believed : fraction of what elevation changes by the model that `start` is corrected for
     elevation : those elevations, and what others change; None where they do not matter
-    kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), as of `RestEvidence`;
+    kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), see `RestEvidence`;
         None where it shows none
     zero_sigma_px : standard uncertainty of the elevation of the whole field
     uneven : what `intensity` gained as slopes differ within a cell, shape (N, C), and was corrected for; None for
@@ -98,6 +98,11 @@ class Cells:
     def rest(self) -> Float64Array:
         """Light of skin at rest, shape (N, C)."""
         return self.model.mixed(self.rest_light)
+
+    @cached_property
+    def residual(self) -> Float64Array:
+        """Coefficients of the residual field, shape (N, C, terms)."""
+        return np.ascontiguousarray(self.model.residual_at(*self.places(np.zeros(self.size, np.float32))[:2]))
 
     @cached_property
     def rest_light(self) -> Float64Array:
@@ -148,9 +153,8 @@ class Cells:
         exponents = np.array(MONOMIALS, np.intp)
         sources = (*model.geometry, model.coat, model.strengths, model.haze, exponents)
         incoming = np.ascontiguousarray(model.albedo * found.incoming)
-        residual = np.ascontiguousarray(model.residual_at(x, y))
-        skin = (x, y, z, rest, found.visible, incoming, residual)
-        by_zero = residual[..., -1] * (self.zero_sigma_px / model.shape[1] / ELEVATION)
+        skin = (x, y, z, rest, found.visible, incoming, self.residual)
+        by_zero = self.residual[..., -1] * (self.zero_sigma_px / model.shape[1] / ELEVATION)
         variance = model.variance(found.slope) + np.square(by_zero)
         if self.uneven is not None:
             variance += np.square(UNEVEN_ERROR * self.uneven)
@@ -254,9 +258,9 @@ class CellSlopes:
     slope : float64 array of shape (N, 2)
     change, weight : derivatives of the intensity, shape (N, C, 2), and weights of the channels, shape (N, C)
     surface : slopes of the surface that all slopes together make, shape (N, 2)
-    visible, incoming : as of `visible_fraction` (N, S), and `incoming_light` over the light at rest (N, C)
+    visible, incoming : see `visible_fraction` (N, S), and `incoming_light` over the light at rest (N, C)
     shadow : how much of a cell's light is hidden, 0 to 1, shape (N,)
-    shown : intensity that stands for that of cells which are not known, shape (N, C)
+    shown : intensity in place of that of cells which are not known, shape (N, C)
     z_px : elevation, float32 array of shape (h, w)
     misread, unseen : by how much `start` is off at other elevations than 0 and under other light around than balls
         have, and what of it the balls did not show, shape (N, 2)

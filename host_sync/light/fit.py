@@ -25,8 +25,6 @@ MAX_ADDED: Final = 2
 """Sources that are added to the first one of each channel, at most."""
 RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Prior standard deviations of the residual field's coefficients that are tried."""
-NO_SOURCE_SIGMA: Final = 1e3
-"""Error of the intensity that no sources predict."""
 MIN_GAIN: Final = 0.98
 """Held-out error, relative to that before, which a model with one source more a channel must reach, and which every
 source must pay for against a model without sources."""
@@ -106,8 +104,8 @@ def fit_light(
     plain, polynomial = _with_residual(bundle, bundle.without_sources(found))
     bundle, found = _with_residual(bundle, found)
     if bundle.held_out(found) > MIN_GAIN ** len(found.place) * plain.held_out(polynomial):
-        # A ball shows each tilt at one elevation: without sources, elevation is not told from tilt.
-        source_sigma = np.full(len(found.haze), NO_SOURCE_SIGMA)
+        # A ball shows each tilt at one elevation: without sources, the two cannot be separated.
+        source_sigma = np.sqrt(np.square(bundle.intensity - 1.0).mean(axis=0))
         bundle, found = _with_residual(bundle, bundle.without_sources(found), "normals")
     sigma = bundle.held_out_sigma(found)
     model, *folds = (

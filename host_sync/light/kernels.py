@@ -20,7 +20,7 @@ def write_light(
 
     points : of each source, position and brightness, shape (S, points, 4), in widths of the field
     axes : of the sources' beams, shape (S, 3)
-    coat : as of `LightModel.coat`
+    coat : see `LightModel.coat`
     p, q, x, y, z : slopes and places, shape (N,)
     """
     for i in range(first, last):
@@ -82,7 +82,7 @@ def write_search(
 ) -> None:  # fmt: skip
     """Move the rows `first` to `last` - 1 of `slope`, (N, 2), by Gauss-Newton steps to the largest posterior.
 
-    sources : points, axes and coat as of `write_light`; strengths (C, S), haze (C,) and the monomials' exponents (M, 2)
+    sources : points, axes and coat see `write_light`; strengths (C, S), haze (C,) and the monomials' exponents (M, 2)
     skin : places x, y and z, shape (N,); light at rest (N, C), visible fractions (N, S), incoming light over that at
         rest (N, C) and the residual's coefficients (N, C, M + 1)
     seen : intensity and the variance of its prediction, shape (N, C)

@@ -115,7 +115,7 @@ class LightModel:
         """Return the intensity of unshaded skin over that of skin at rest: shape (N, C).
 
         slope : shape (N, 2)
-        places : as of `places`
+        places : see `places`
         incoming : light from skin around (`interreflection`) over the light at rest, shape (N, C)
         """
         p, q = slope.T
@@ -130,7 +130,7 @@ class LightModel:
     ) -> Float64Array:
         """Return what the sources' light gains where skin has an elevation z (N,) instead of that of `places`: (N, C).
 
-        slope, places : as of `intensity`
+        slope, places : see `intensity`
         """
         p, q = slope.T
         x, y, below = places
@@ -147,8 +147,8 @@ class LightModel:
         """Return what the mean of the residual over normals gains by their covariance, to second order: (N, C).
 
         slope : of the mean normal, shape (N, 2)
-        places : as of `places`
-        spread : covariance of the normals, shape (N, 3), as of `slopes_hidden_by_means`
+        places : see `places`
+        spread : covariance of the normals, shape (N, 3), see `slopes_hidden_by_means`
         """
         up = 1.0 / np.sqrt(1.0 + np.square(slope).sum(axis=1))
         across, down = -slope[:, 0] * up, -slope[:, 1] * up

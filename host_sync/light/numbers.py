@@ -26,7 +26,7 @@ class Numbers:
     """Numbers of a model with S sources and C channels, and of B balls.
 
     place, extent : of sources, shape (S, 3) with the logarithm of the height, and (S, 2), length and height
-    strength, haze, albedo : as of `LightModel`, shape (C, S), (C,) and (1,)
+    strength, haze, albedo : see `LightModel`, shape (C, S), (C,) and (1,)
     coat : numbers of the coat, in the order of `COAT`
     shift : of the balls' centres, column and row, pixels, shape (B, 2)
     residual : shape (C, terms * places)
@@ -62,5 +62,5 @@ class Numbers:
 
     @property
     def sources(self) -> Float64Array:
-        """Sources as of `LightModel`."""
+        """Sources see `LightModel`."""
         return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.extent], axis=1)

@@ -42,7 +42,7 @@ def fit_light_of_presses(
     apexes_px: Sequence[float],
     positions: Float64Array | None = None,
 ) -> FittedLight:
-    """Return the light model that the balls of presses show; arguments as of `fit_light`."""
+    """Return the light model that the balls of presses show; arguments as for `fit_light`."""
     samples = gather_samples(presses, to_teach=True)
     balls = [ball for _, of_press in presses for ball in of_press]
     surfaces = [_surface(image, of_press, inverse) for image, of_press in presses]

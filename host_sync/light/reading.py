@@ -78,9 +78,7 @@ def correct_slopes(
         believed, elevation if light.has_sources else None, kept, zero_sigma_px, uneven, arriving,
     )  # fmt: skip
     found = cells.solve()
-    raised = None
-    if light.has_sources and rest is not None and not rest.has_rest:
-        raised = solve_raised(cells, found, rest.gain_sigma)
+    raised = None if rest is None or rest.has_rest else solve_raised(cells, found, rest.gain_sigma)
     if raised is not None:
         cells, found = raised.cells, raised.found
     change = cells.confirmed_change(found, light.confirmed).astype(np.float32).reshape(*size, 2)

@@ -156,9 +156,9 @@ def reconstruct(
         height = seen_elevation(height, viewpoint)
         gradients = seen_slopes(read, viewpoint, height, out=gradients)
     slopes = surface_slopes(height)
-    sure = reading.confidence_in(gradients)
-    contradiction = nonintegrable_residual(sure, *slopes)
-    uncertainty = BackgroundCall(_uncertainty, height, sure, contradiction, reading, datum, before_heights)
+    integrated = gradients
+    contradiction = nonintegrable_residual(integrated, *slopes)
+    uncertainty = BackgroundCall(_uncertainty, height, integrated, contradiction, reading, datum, before_heights)
     uncertainty.start()
     shown, other, lost = height, None, None
     if shrinkage is not None:
@@ -177,7 +177,7 @@ def reconstruct(
     strange = extrapolated(intensity, calibration.inverse.map, p, q, reading.first.meanwhile.result().strange)
     unsure = before_heights.result().unsure.with_unresolved(*slopes)
     kept = noise.shrunk_kept if noise else NOISE_KEPT
-    slopes_sigma = slope_sigma(sure, *slopes, contradiction, slope_error_of(calibration, chosen), unsure, kept)
+    slopes_sigma = slope_sigma(integrated, *slopes, contradiction, slope_error_of(calibration, chosen), unsure, kept)
     known = uncertainty.result()
     if lost is not None:
         slopes_sigma = with_lost_detail(slopes_sigma, lost)

@@ -113,11 +113,6 @@ class SlopeReading:
         """Whether some skin may be untouched; False where the light says that none is."""
         return all(group.correction is None or group.correction.has_rest for group in self.groups)
 
-    def confidence_in(self, gradients: GradientField) -> GradientField:
-        """These slopes of all groups, with weights that say how sure they are where integration does not."""
-        correction = self.first.correction
-        return gradients if correction is None or len(self.groups) > 1 else correction.confidence_in(gradients)
-
     def raw_gradients(self) -> GradientField:
         """Slopes of all groups together with the frame's noise in them, less what null colours know of it.
 

@@ -56,10 +56,8 @@ class FrameSigma:
         height : of the coarse frame, over its zero
         z_um : heights of full size, float32 array of shape (H, W), as `out`
         """
-        gradients = reading.gradients
-        correction = reading.correction
-        sure = gradients if correction is None else correction.confidence_in(gradients)
-        contradiction = nonintegrable_residual(sure, *surface_slopes(height))
+        gradients, correction = reading.gradients, reading.correction
+        contradiction = nonintegrable_residual(gradients, *surface_slopes(height))
         if correction is None or correction.unsure is None:
             unknown = calibration_uncertainty(image, self._replicas, self._size)
         else:
@@ -67,10 +65,10 @@ class FrameSigma:
         found = height_uncertainty(
             HeightMap(self._less(height.z_um), height.pitch_um * self._step),
             GradientField(
-                self._less(sure.p, sure.valid),
-                self._less(sure.q, sure.valid),
-                self._less(sure.valid.astype(np.float32)) > 0.0,
-                self._less(sure.weight),
+                self._less(gradients.p, gradients.valid),
+                self._less(gradients.q, gradients.valid),
+                self._less(gradients.valid.astype(np.float32)) > 0.0,
+                self._less(gradients.weight),
             ),
             self._less(contradiction),
             self._error,

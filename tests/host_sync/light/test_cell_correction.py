@@ -1,8 +1,6 @@
-"""What slopes of pixels gain from cells, and their weights in shadow: for integration, and for their uncertainty."""
+"""Change of pixels' slopes by cells, and their weights in shadow."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,11 +12,11 @@ SIZE = (20, 30)
 SHAPE = (SIZE[0] * CELL, SIZE[1] * CELL)
 
 
-def correction(confidence: float | None) -> CellCorrection:
+def correction() -> CellCorrection:
     shadow = np.zeros(SIZE, np.float32)
     shadow[:, :10] = 1.0
     nothing = np.zeros(SIZE, np.float32)
-    return CellCorrection(nothing, nothing, nothing, nothing, shadow, CELL, 0.3, confidence=confidence)
+    return CellCorrection(nothing, nothing, nothing, nothing, shadow, CELL, 0.3)
 
 
 def field() -> GradientField:
@@ -41,18 +39,9 @@ def test_pixels_gain_what_cells_gain_and_run_straight_between_them() -> None:
     np.testing.assert_array_equal(found.weight, field().weight)
 
 
-def test_confidence_is_what_the_weight_would_be_with_another_share() -> None:
-    taken, wanted = field(), field()
-    correction(0.6).apply(taken)
-    replace(correction(None), weight=0.6).apply(wanted)
+def test_weights_are_smaller_in_shadow() -> None:
+    taken, before = field(), field()
+    correction().apply(taken)
     assert taken.weight[:, :20].max() < 0.25
-    found = correction(0.6).confidence_in(taken)
-    np.testing.assert_allclose(found.weight, wanted.weight, rtol=1e-5)
-    assert found.p is taken.p
-
-
-def test_without_another_share_or_shadow_weights_stay() -> None:
-    taken = field()
-    assert correction(None).confidence_in(taken) is taken
-    lit = replace(correction(0.6), shadow=np.zeros(SIZE, np.float32))
-    assert lit.confidence_in(taken) is taken
+    np.testing.assert_allclose(taken.weight[:, :36], 0.3 * before.weight[:, :36], rtol=1e-5)
+    np.testing.assert_array_equal(taken.weight[:, 44:], before.weight[:, 44:])

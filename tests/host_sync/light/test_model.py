@@ -1,4 +1,4 @@
-"""What the light model predicts, against closed forms and a renderer of its own."""
+"""The light model against closed forms and a renderer of its own."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_the_more_exact_the_model_the_less_is_left_of_an_uncertain_slope() -> No
 
 
 def test_sources_are_believed_as_far_as_they_alone_determine_slopes() -> None:
-    """What the residual field adds does not count: it predicts no elevation."""
+    """The residual field does not count: it predicts no elevation."""
     believed = [replace(MATT, source_sigma=np.full(3, sigma)).believed_fraction(0.05) for sigma in (1e-4, 0.05, 1e3)]
     assert believed == sorted(believed, reverse=True)
     assert believed[0] > 0.999

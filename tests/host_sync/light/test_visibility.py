@@ -1,4 +1,4 @@
-"""How much of a source arrives at cells, by geometry."""
+"""Fraction of a source that reaches cells, by geometry."""
 
 from __future__ import annotations
 
