@@ -107,7 +107,7 @@ def _measured(
 ) -> tuple[list[tuple[str, str, float]], str, list[str]]:
     """Part, operator and value of each row, the values' unit, and the results' doubts."""
     subject, _, name = number.rpartition("/")
-    from host_sync.measurement.measurement import copies_among
+    from host_sync.measurement.measurement import copies_among, copy_words
 
     found = []
     doubts: list[str] = []
@@ -129,5 +129,5 @@ def _measured(
         unit = quantity.unit
         doubts += [f"{row.value}: {doubt.sentence}" for doubt in measurement.doubts]
     for place, first in copies_among(every).items():
-        raise MeasurementError(f"{every[place].folder}: is a copy of {first.folder}, not another press: leave it out")
+        raise MeasurementError(f"{copy_words(every[place], first)}: leave it out")
     return found, unit, doubts

@@ -222,11 +222,11 @@ def _write_csv(done: Sequence[Measurement], path: Path, *, semicolon: bool) -> N
 
 def name_copies(done: list[Measurement]) -> bool:
     """Mark copies of one press, which take no part in a trend, and name them; returns whether there were any."""
-    from host_sync.measurement.measurement import copies_among, mark_copies
+    from host_sync.measurement.measurement import copies_among, copy_words, mark_copies
 
     copies = copies_among(done)
     for place, first in copies.items():
-        print_error(f"{done[place].folder}: is a copy of {first.folder}, not another press: no trend has it", PARTLY)
+        print_error(f"{copy_words(done[place], first)}: no trend has it", PARTLY)
     done[:] = mark_copies(done)
     return bool(copies)
 

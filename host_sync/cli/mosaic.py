@@ -53,6 +53,9 @@ def mosaic_command(
             continue
         if (found / MOSAIC_FILE).is_file() and found not in scans and not (library and scans):
             continue  # an earlier mosaic beside its presses
+        if found.resolve() in (folder.resolve() for folder in folders):
+            left_out.append(f"{found}: is named twice")
+            continue
         folders.append(found)
     check_replaceable(out, RECORD_FILE)  # before minutes of work
     with status_spinner() as tell:

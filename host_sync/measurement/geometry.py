@@ -72,9 +72,21 @@ def between_planes_deg(first: Float32Array, second: Float32Array, places: tuple[
 
     places : of the pixels of each
     """
-    normals = [_normal(*one) for one in zip((first, second), places, strict=True)]
-    cosine = normals[0] @ normals[1] / np.linalg.norm(normals[0]) / np.linalg.norm(normals[1])
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return _between_normals_deg(*(_normal(*one) for one in zip((first, second), places, strict=True)))
+
+
+def bend_deg(z_um: Float32Array, places: SkinPlaces) -> float:
+    """Largest angle between the planes of opposite halves of a region, degrees; NaN where no half shows a plane."""
+    across_um, down_um = places.at(z_um)
+    largest = np.nan
+    for axis in (0, 1):
+        parts = [np.array_split(part, 2, axis) for part in (across_um, down_um, z_um)]
+        try:
+            normals = [np.array([*_plane(*half)[:2], 1.0]) for half in zip(*parts, strict=True)]
+        except MeasurementError:
+            continue
+        largest = np.fmax(largest, _between_normals_deg(*normals))
+    return float(largest)
 
 
 def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[str, float]:
@@ -109,6 +121,11 @@ def over_plane(z_um: Float32Array, used: MaskArray, places: SkinPlaces) -> Float
     across_um, down_um = places.at(z_um)
     a, b, c = _plane(across_um, down_um, np.where(used, z_um, np.float32(np.nan)))
     return np.asarray(z_um - (a * across_um + b * down_um + c), np.float32)
+
+
+def _between_normals_deg(first: Float64Array, second: Float64Array) -> float:
+    """Angle between two vectors of any length, degrees."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
 
 
 def _normal(z_um: Float32Array, places: SkinPlaces) -> Float64Array:

@@ -11,7 +11,7 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.measurement.footprint import line_places, region_places
-from host_sync.measurement.geometry import Region, between_places, between_planes_deg, over_plane, pit_volumes
+from host_sync.measurement.geometry import Region, bend_deg, between_places, between_planes_deg, over_plane, pit_volumes
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import fit_sphere
@@ -31,6 +31,10 @@ _VOLUME: Final = ParameterKind("µm³", 2.0)
 
 MAX_OF_PLANE: Final = 0.35
 """Largest residual of a sphere, in that of a plane: a cylinder has 0.7, a ball with the skin around it 0.5."""
+
+MAX_BEND: Final = 0.1
+MIN_BEND_DEG: Final = 0.5
+"""Halves of a face that lean apart by more than this share of the measured angle, and this angle, are no plane."""
 
 
 class Measurand(Protocol):
@@ -216,7 +220,9 @@ class AngleMeasurand(_Plain):
         self._first, self._second = (_places_of(region, height, places) for region in self._regions)
         self.masked_share = _masked(height, *self._regions)
         self.places_px = region_places(self._regions, height.pitch_um)
-        self.values(height.z_um)  # what cannot be measured is refused now
+        self._angle_deg = self.values(height.z_um)["angle"]  # what cannot be measured is refused now
+        cuts = (region.cut(height.z_um, height.pitch_um) for region in self._regions)
+        self._bends_deg = [bend_deg(*one) for one in zip(cuts, (self._first, self._second), strict=True)]
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """One angle."""
@@ -226,6 +232,19 @@ class AngleMeasurand(_Plain):
         """Angle between the least-squares planes."""
         first, second = (region.cut(z_um, self._pitch_um) for region in self._regions)
         return {"angle": between_planes_deg(first, second, (self._first, self._second))}
+
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """A region that is not flat."""
+        words = tuple(
+            f"the {name} region is not flat, its halves lean {bend:.2g}° apart: draw it inside one face"
+            for name, bend in zip(("first", "second"), self._bends_deg, strict=True)
+            if bend > max(MAX_BEND * self._angle_deg, MIN_BEND_DEG)
+        )
+        return {"angle": words} if words else {}
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """Return how far the angle depends on which half of a region is used."""
+        return {"angle": 0.5 * float(np.sqrt(np.nansum(np.square(self._bends_deg))))}
 
 
 class RadiusMeasurand(_Plain):

@@ -110,6 +110,13 @@ def copies_among(measurements: Sequence[Measurement]) -> dict[int, Measurement]:
     return {place: one for place, one in enumerate(earlier) if one is not measurements[place]}
 
 
+def copy_words(one: Measurement, first: Measurement) -> str:
+    """Return what is wrong with a measurement that copies an earlier one, names in front."""
+    if one.folder.resolve() == first.folder.resolve():
+        return f"{one.folder}: is named twice, and one press is measured once"
+    return f"{one.folder}: is a copy of {first.folder}, not another press"
+
+
 def mark_copies(measurements: Sequence[Measurement]) -> list[Measurement]:
     """Return the measurements, each number of a copy with a warning that it is one."""
     marked = list(measurements)

@@ -191,6 +191,20 @@ def test_a_library_is_measured_gaged_and_reported_by_one_recipe(
     assert "scan/scan.json" in page
 
 
+def test_a_result_that_is_named_twice_is_no_copy_of_itself(
+    write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [write_result((1.0 + 0.1 * number) * wave, f"r{number}") for number in range(4)]
+    folders[2] = folders[0].parent / "r3" / ".." / "r0"
+    plan = tmp_path / "plan.csv"
+    rows = [f"part {number // 2},ada,{folder}" for number, folder in enumerate(folders)]
+    plan.write_text("\n".join(["part,operator,result", *rows]), encoding="utf-8")
+    assert main(["gage-rr", "--plan", str(plan)]) == 2
+    assert f"{folders[2]}: is named twice" in capsys.readouterr().err
+    assert main(["mosaic", str(folders[0]), str(folders[2]), "--out", str(tmp_path / "mosaic")]) == 2
+    assert f"{folders[2]}: is named twice" in capsys.readouterr().err
+
+
 def test_a_copy_takes_no_part_in_a_trend(
     write_result: Write, wave: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

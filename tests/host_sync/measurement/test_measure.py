@@ -17,7 +17,7 @@ from host_sync.measurement.height_samples import FineNoise, HeightSamples, State
 from host_sync.measurement.measure import measure, measure_result
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty
-from host_sync.measurement.recipe import DistanceTable, ProfileTable, RadiusTable, Recipe, StepTable
+from host_sync.measurement.recipe import AngleTable, DistanceTable, ProfileTable, RadiusTable, Recipe, StepTable
 from host_sync.results.reader import read_result
 
 Write = Callable[..., Path]
@@ -269,3 +269,22 @@ def test_what_is_nothing_but_noise_has_an_uncertainty_as_large_as_itself() -> No
     assert uncertainty_of(10.0, np.full(16, np.hypot(10.0, 1.0)))[1] == pytest.approx(10.0 - np.sqrt(99.0), rel=1e-6)
     assert uncertainty_of(-3.0, np.full(16, -2.5))[1] == pytest.approx(0.5)
     assert uncertainty_of(1.0, np.full(3, 1.0)) is None
+
+
+def test_an_angle_between_regions_that_are_not_flat_says_so_and_is_as_unsure(write_result: Write) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    table = AngleTable(name="a", first_um=(100.0, 200.0, 500.0, 700.0), second_um=(700.0, 200.0, 1100.0, 700.0))
+    ball = np.sqrt(2000.0**2 - (column - 600.0) ** 2 - (row - 450.0) ** 2)
+    roof = -0.3 * np.abs(column - 600.0)
+    on_ball, on_roof = (
+        number(measure_result(write_result(z_um, name), Recipe(angle=(table,))), "angle", "a")
+        for name, z_um in (("ball", ball), ("roof", roof))
+    )
+    assert [word.split(",")[0] for word in on_ball.warnings if "not flat" in word] == [
+        "the first region is not flat",
+        "the second region is not flat",
+    ]
+    assert not any("not flat" in word for word in on_roof.warnings)
+    assert on_roof.uncertainty is not None
+    assert on_ball.uncertainty is not None
+    assert on_ball.uncertainty > 4.0 > 1.0 > on_roof.uncertainty

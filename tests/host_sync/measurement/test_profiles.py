@@ -5,7 +5,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.filters.profile_filter import profile_mean
-from host_sync.measurement.geometry import Region, between_places, between_planes_deg, pit_volumes
+from host_sync.measurement.geometry import Region, bend_deg, between_places, between_planes_deg, pit_volumes
 from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.profile_parameters import profile_parameters
@@ -116,6 +116,18 @@ def test_distances_and_angles_of_a_roof() -> None:
     left, right = (Region(a, 40.0, b, 300.0).cut(z_um, PITCH_UM) for a, b in ((20.0, 380.0), (420.0, 780.0)))
     angle_deg = between_planes_deg(left, right, (SkinPlaces(PITCH_UM), SkinPlaces(PITCH_UM)))
     assert angle_deg == pytest.approx(2.0 * np.degrees(np.arctan(0.5)), abs=0.01)
+
+
+def test_a_face_that_is_not_flat_leans_apart_from_half_to_half() -> None:
+    row, column = np.mgrid[:101, :101] * PITCH_UM
+    tilted = (0.3 * column - 0.2 * row).astype(np.float32)
+    assert bend_deg(tilted, SkinPlaces(PITCH_UM)) == pytest.approx(0.0, abs=0.01)
+    radius_um = 2000.0
+    for across in (column, row):
+        cylinder = np.sqrt(radius_um**2 - (across - 200.0) ** 2).astype(np.float32)
+        apart = np.degrees(2.0 * np.arcsin(100.0 / radius_um))
+        assert bend_deg(cylinder, SkinPlaces(PITCH_UM)) == pytest.approx(apart, rel=0.02)
+    assert np.isnan(bend_deg(np.full((4, 4), np.nan, np.float32), SkinPlaces(PITCH_UM)))
 
 
 def test_the_volume_of_a_hollow_under_a_tilted_face() -> None:
