@@ -28,6 +28,7 @@ from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import frame_of_values, read_frame
+from host_sync.frames.orientation import check_one_orientation
 from host_sync.frames.square_pixels import square_pitch
 from host_sync.results.reader import ResultSurface, read_result
 
@@ -187,19 +188,15 @@ def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, 
         It is not certain, or no count.
     """
     form = FrameSpec((), encoding, None, pixel_shape)
+    arrays = [image for image in images if isinstance(image, np.ndarray)]
+    files = [Path(path) for image in images if not isinstance(image, np.ndarray) for path in _paths(image)]
+    known = {path: read_info(path) for path in files}
+    check_one_orientation(known)
     if full_scale is not None:
         return replace(form, full_scale=round(positive("full_scale", full_scale, FrameSetError)))
-    deep: list[Any] = []
-    stated = 0
-    for image in images:
-        for part in [image] if isinstance(image, np.ndarray) else [Path(path) for path in _paths(image)]:
-            if isinstance(part, Path):
-                info = read_info(part)
-                stated = max(stated, info.full_scale or 0)
-                if info.bits == 16 and not info.is_raw:
-                    deep.append(part)
-            elif part.dtype == np.uint16:
-                deep.append(part)
+    deep: list[Any] = [array for array in arrays if array.dtype == np.uint16]
+    deep += [path for path in files if known[path].bits == 16 and not known[path].is_raw]
+    stated = max((info.full_scale or 0 for info in known.values()), default=0)
     if not deep:
         return form
     counts = count_values(read_image(one) if isinstance(one, Path) else one for one in deep)

@@ -13,6 +13,7 @@ import tifffile
 
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 from host_sync.errors import FrameSetError
+from host_sync.frames.image_info import Decode, ImageInfo
 
 if TYPE_CHECKING:
     import rawpy
@@ -29,7 +30,10 @@ _CFA: Final = (tifffile.PHOTOMETRIC.CFA, tifffile.PHOTOMETRIC.LINEAR_RAW)
 _DNG_VERSION: Final = 50706
 
 RAW_ERRORS: Final = (ValueError, RuntimeError, OSError)
-"""What `raw_shape` and `read_camera_raw` raise of a file that is damaged, beside FrameSetError."""
+"""What `read_camera_raw` raises of a file that is damaged, beside FrameSetError."""
+
+_ORIENTATIONS: Final = {3: 3, 5: 8, 6: 6}
+"""As EXIF numbers what LibRaw calls flips."""
 
 
 def is_raw_file(path: Path, start: bytes) -> bool:
@@ -58,16 +62,29 @@ def is_page_whole(page: tifffile.TiffPage, size: int) -> bool:
     return bool(spans) and all(offset > 0 and offset + count <= size for offset, count in spans)
 
 
-def raw_shape(path: Path) -> tuple[int, int]:
-    """(H, W) of the mosaic; FrameSetError where it is none of a Bayer sensor, else one of `RAW_ERRORS`."""
-    with _opened(path) as raw:
-        _bayer_order(raw, path)
-        sizes = raw.sizes
-        return sizes.height // 2 * 2, sizes.width // 2 * 2
+def open_raw(path: Path) -> tuple[ImageInfo, bool, Decode]:
+    """The header's facts, whether the file is complete, and what decodes its pixels.
+
+    Raises
+    ------
+    FrameSetError
+        It is damaged, or holds no mosaic of a Bayer sensor.
+    """
+    try:
+        with _opened(path) as raw:
+            _bayer_order(raw, path)
+            sizes = raw.sizes
+            shape, flip = (sizes.height // 2 * 2, sizes.width // 2 * 2), sizes.flip
+    except FrameSetError:
+        raise
+    except RAW_ERRORS as error:
+        raise FrameSetError(f"{path}: is a camera raw file that cannot be read ({error}): save it as TIFF") from error
+    info = ImageInfo(shape, 3, 16, is_raw=True, orientation=_ORIENTATIONS.get(flip, 1))
+    return info, True, lambda: read_camera_raw(path)
 
 
 def read_camera_raw(path: Path) -> RawFrame:
-    """The mosaic with its black and white levels; errors as for `raw_shape`."""
+    """The mosaic with its black and white levels; FrameSetError where it has none, else one of `RAW_ERRORS`."""
     with _opened(path) as raw:
         order = _bayer_order(raw, path)
         visible = raw.raw_image_visible

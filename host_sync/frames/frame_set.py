@@ -19,7 +19,9 @@ from host_sync.frames.frame_set_file import (
     read_frame_set_file,
 )
 from host_sync.frames.full_scale import count_values, full_scale_of
-from host_sync.frames.image_file import ImageInfo, read_image, read_info
+from host_sync.frames.image_file import read_image, read_info
+from host_sync.frames.image_info import ImageInfo
+from host_sync.frames.orientation import check_one_orientation
 from host_sync.frames.square_pixels import square_pitch, square_place, square_shape
 
 COUNTED_SCANS: Final = 8
@@ -229,10 +231,17 @@ def _common_form(
 ) -> tuple[tuple[int, int], int, dict[Path, ImageInfo]]:
     """(H, W) and channels of all frames, each an RGB image or grey ones of one size; and what every image is."""
     known: dict[Path, ImageInfo] = {}
+    for key, spec in frames:
+        for image in spec.images:
+            known[image] = known.get(image) or _info(image, key, path)
+    try:
+        check_one_orientation(known)
+    except FrameSetError as error:
+        raise FrameSetError(f"{path}: {error}") from error
     first_key, shape = "", (0, 0)
     for key, spec in frames:
         for image in spec.images:
-            info = known.get(image) or known.setdefault(image, _info(image, key, path))
+            info = known[image]
             if not shape[0]:
                 first_key, shape = key, info.shape
             if info.shape != shape:

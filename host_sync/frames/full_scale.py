@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set_file import Encoding
-from host_sync.frames.image_file import Pixels
+from host_sync.frames.image_info import Pixels
 
 COUNTS: Final = 1 << 16
 LEAST_BITS: Final = 9

@@ -23,7 +23,10 @@ from device.errors import RecordError
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
-from host_sync.frames.image_file import MAX_PIXELS, Pixels, read_image
+from host_sync.frames.image_file import MAX_PIXELS, read_with_info
+from host_sync.frames.image_info import ImageInfo, Pixels
+from host_sync.frames.orientation import TAG, check_one_orientation, known_orientation, upright
+from host_sync.frames.tiff_file import promises_another_page
 
 DEFAULT_RATE_HZ: Final = 25.0
 """Frames a second of a recording that states no rate."""
@@ -126,9 +129,13 @@ class FolderSequence:
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
         """Every file's frame."""
+        first: dict[Path, ImageInfo] = {}
         for path in self._files:
             try:
-                yield StoredFrame(path.name, _read_file(path))
+                info, pixels = _read_file(path)
+                check_one_orientation(first | {path: info})
+                first = first or {path: info}
+                yield StoredFrame(path.name, pixels)
             except (FrameSetError, RecordError) as error:
                 yield BadFrame(path.name, str(error))
 
@@ -147,7 +154,7 @@ class StackSequence:
         try:
             with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
                 self._whole_pages = len(tiff.pages)
-                self._is_cut = _promises_another_page(tiff)
+                self._is_cut = promises_another_page(tiff)
                 first = tiff.pages.first
                 shape, dtype = first.shape, first.dtype
         except TIFF_READ_ERRORS as error:
@@ -169,7 +176,8 @@ class StackSequence:
                 try:
                     page = tiff.pages[number]
                     matches = page.shape == self._shape and page.dtype == self._dtype
-                    pixels = np.asarray(page.asarray(maxworkers=1)) if matches else None
+                    turned = known_orientation(page.aspage().tags.valueof(TAG)) if matches else 0
+                    pixels = upright(np.asarray(page.asarray(maxworkers=1)), turned) if matches else None
                 except TIFF_READ_ERRORS:
                     pixels = None
                 if pixels is None:
@@ -237,25 +245,16 @@ def _opened(path: Path) -> cv2.VideoCapture:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _promises_another_page(tiff: tifffile.TiffFile) -> bool:
-    """Return whether the last page found refers to a next one that does not exist."""
-    at = tiff.pages.next_page_offset
-    if at is None:
-        return True
-    tiff.filehandle.seek(at)
-    stored = tiff.filehandle.read(tiff.tiff.offsetsize)
-    return any(stored) or len(stored) < tiff.tiff.offsetsize
-
-
-def _read_file(path: Path) -> Pixels | RawFrame:
+def _read_file(path: Path) -> tuple[ImageInfo, Pixels | RawFrame]:
     if path.exists() and not path.is_file():
         raise FrameSetError(f"{path}: is not a file: remove it from the folder")
     if path.suffix.lower() in (".tif", ".tiff") and _page_count(path) == _RAW_PAGES:
-        return read_raw(path)
-    pixels = read_image(path)
+        raw = read_raw(path)
+        return ImageInfo((raw.shape[0], raw.shape[1]), 3, 16, is_raw=True), raw
+    info, pixels = read_with_info(path)
     if len(pixels.shape) != 3 and not isinstance(pixels, RawFrame):
         raise FrameSetError(f"{path}: is grey: a sequence takes RGB images")
-    return pixels
+    return info, pixels
 
 
 def _page_count(path: Path) -> int:

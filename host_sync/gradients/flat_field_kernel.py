@@ -22,7 +22,7 @@ from device.imaging.flat_field import (
 )
 from device.surface.fields import Float32Array
 from hal.frame import RawFrame
-from host_sync.frames.image_file import Pixels
+from host_sync.frames.image_info import Pixels
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import as_stored, colour_rows, empty_planes

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec, load_frame_set
@@ -359,3 +360,17 @@ def test_a_slip_in_the_file_is_named_with_its_mend(write: Write, old: str, new: 
 def test_a_frame_set_in_utf_16_is_named(tmp_path: Path) -> None:
     (tmp_path / "frameset.toml").write_text(GOOD, encoding="utf-16")
     assert "is text in UTF-16: save it as UTF-8" in refused(tmp_path / "frameset.toml")
+
+
+def test_frames_that_are_marked_as_turned_in_different_ways_are_refused(write: Write) -> None:
+    path = write(GOOD)
+    exif = Image.Exif()
+    for name, orientation in (("flat.png", 3), ("scan.png", 3), ("r.png", 3), ("g.png", 3), ("b.png", 3)):
+        exif[274] = orientation
+        Image.open(path.parent / name).save(path.parent / name, exif=exif)
+    assert load_frame_set(path).shape == SHAPE
+    exif[274] = 6
+    Image.open(path.parent / "scan.png").save(path.parent / "scan.png", exif=exif)
+    sentence = refused(path)
+    assert "scan.png is marked as turned otherwise than" in sentence
+    assert "(orientation 6 and 3): remove the marks" in sentence

@@ -12,14 +12,15 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
+from PIL import Image, ImageOps
 
 from device.imaging.flat_field import demosaic
-from hal.frame import RawFrame
+from hal.frame import CameraSettings, RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import read_frame
+from host_sync.frames.orientation import exif_orientation, shape_upright, upright
 
 SHAPE = (48, 64)
 
@@ -253,3 +254,83 @@ def test_a_jpeg_of_12_bit_says_its_full_scale(tmp_path: Path) -> None:
 def test_a_jpeg_for_printers_is_refused_by_its_channels(tmp_path: Path) -> None:
     with pytest.raises(FrameSetError, match="has 4 channels of 8 bit"):
         read_info(saved(tmp_path / "c.jpg", encoded(Image.fromarray(colours()).convert("CMYK"), "JPEG")))
+
+
+def test_three_grey_pages_are_the_lights_of_one_image(tmp_path: Path) -> None:
+    planes = np.moveaxis(colours(np.uint16), -1, 0)
+    for options in ({}, {"imagej": True, "metadata": {"axes": "CYX"}}, {"ome": True, "metadata": {"axes": "CYX"}}):
+        path = tiff(tmp_path / "p.ome.tif", planes, photometric="minisblack", **options)
+        assert np.array_equal(read(path), colours(np.uint16))
+    with tifffile.TiffWriter(path) as writer:
+        for name, plane in zip(("Blue", "Green", "Red"), planes[::-1], strict=True):
+            writer.write(plane, photometric="minisblack", extratags=[(285, "s", 0, name, True)])
+    assert np.array_equal(read(path), colours(np.uint16))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(FrameSetError, match="truncated or damaged"):
+        read_info(path)
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [("TYX", "holds 3 pages, frames of a sequence: save"), ("ZYX", "holds 3 pages, slices of a stack: save")],
+)
+def test_three_pages_of_one_light_are_no_image(tmp_path: Path, axes: str, words: str) -> None:
+    planes = np.moveaxis(colours(np.uint16), -1, 0)
+    for options in ({"imagej": True}, {"ome": True}):
+        path = tiff(tmp_path / "p.ome.tif", planes, photometric="minisblack", metadata={"axes": axes}, **options)
+        with pytest.raises(FrameSetError, match=words):
+            read_info(path)
+
+
+def test_pages_that_differ_are_no_image(tmp_path: Path) -> None:
+    path = tmp_path / "p.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for plane in (greys(), greys()[:-1], greys()):
+            writer.write(plane, photometric="minisblack")
+    with pytest.raises(FrameSetError, match="3 pages that are not grey ones of one size and kind"):
+        read_info(path)
+    for count in (2, 4):
+        stack = np.stack([greys()] * count)
+        with pytest.raises(FrameSetError, match=f"holds {count} pages: save the right one"):
+            read_info(tiff(path, stack, photometric="minisblack"))
+
+
+def exif_of(orientation: int) -> Image.Exif:
+    exif = Image.Exif()
+    exif[274] = orientation
+    return exif
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_image_is_read_as_it_is_seen(tmp_path: Path, orientation: int) -> None:
+    stored = Image.fromarray(colours())
+    png = saved(tmp_path / "a.png", encoded(stored, "PNG", exif=exif_of(orientation)))
+    seen = np.asarray(ImageOps.exif_transpose(Image.open(png)))
+    assert read_info(png).orientation == orientation
+    assert np.array_equal(read(png), seen)
+    options = {"photometric": "rgb", "extratags": [(274, "H", 1, orientation, True)]}
+    assert np.array_equal(read(tiff(tmp_path / "a.tif", colours(), **options)), seen)
+    for exif in (exif_of(orientation), exif_of(orientation).tobytes()):
+        path = saved(tmp_path / "a.jpg", encoded(stored, "JPEG", quality=95, subsampling=0, exif=exif))
+        jpeg_seen = np.asarray(ImageOps.exif_transpose(Image.open(path)))
+        assert np.abs(read(path).astype(int) - jpeg_seen).max() <= 2
+
+
+def test_an_orientation_that_is_none_or_cut_off_leaves_the_image_as_it_is() -> None:
+    block = exif_of(6).tobytes().removeprefix(b"Exif\0\0")
+    assert exif_orientation(block) == 6
+    for end in range(len(block)):
+        assert exif_orientation(block[:end]) in (1, 6)
+    assert exif_orientation(exif_of(9).tobytes().removeprefix(b"Exif\0\0")) == 1
+    assert exif_orientation(b"II*\0\xff\xff\xff\xff\xff\xff") == 1
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_mosaic_that_is_turned_keeps_its_colours(orientation: int) -> None:
+    colour = np.tile(np.array([[0, 1], [1, 2]]), (4, 6))
+    raw = RawFrame(colour.astype(np.uint16) * 1000 + 64, "RGGB", 0.0, 4095.0, CameraSettings(1.0, 1.0), 0)
+    turned = upright(raw, orientation)
+    named = np.tile(np.array(["RGB".index(name) for name in turned.bayer_order]).reshape(2, 2), (6, 6))
+    rows, columns = turned.mosaic.shape
+    assert (rows, columns) == shape_upright(colour.shape, orientation)
+    assert np.array_equal(turned.mosaic, named[:rows, :columns] * 1000 + 64)

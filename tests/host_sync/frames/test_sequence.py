@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from device.bundles.raw_frame import write_raw
 from hal.frame import RawFrame
@@ -154,3 +155,17 @@ def test_what_holds_no_frames_is_refused_in_a_sentence(tmp_path: Path) -> None:
         with pytest.raises(SequenceError, match=words) as refused:
             open_sequence(tmp_path / name)
         assert name in str(refused.value)
+
+
+def test_a_frame_that_is_marked_as_turned_otherwise_is_left_out_by_name(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    pixels = np.random.default_rng(2).integers(0, 256, (12, 16, 3)).astype(np.uint8)
+    for number, orientation in enumerate((6, 6, 1), start=1):
+        exif[274] = orientation
+        Image.fromarray(pixels).save(tmp_path / f"f{number}.png", exif=exif)
+    first, second, third = open_sequence(tmp_path).frames()
+    assert isinstance(first, StoredFrame)
+    assert isinstance(second, StoredFrame)
+    assert np.array_equal(first.pixels, np.rot90(pixels, -1))
+    assert isinstance(third, BadFrame)
+    assert "f3.png is marked as turned otherwise than" in third.reason

@@ -1,0 +1,89 @@
+"""How an image is stored: as it is seen, or turned and mirrored, which a mark in its header says (TIFF, EXIF)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.frame import BAYER_ORDERS, RawFrame
+from host_sync.errors import FrameSetError
+from host_sync.frames.image_info import ImageInfo, Pixels
+
+TAG: Final = 274
+EXIF_START: Final = b"Exif\0\0"
+UPRIGHT: Final = 1
+_ROWS_ARE_COLUMNS: Final = (5, 6, 7, 8)
+_ROWS_BACKWARDS: Final = (3, 4, 7, 8)
+"""After rows and columns are exchanged: 6 is seen upright when it is turned by a quarter clockwise."""
+_COLUMNS_BACKWARDS: Final = (2, 3, 6, 7)
+_ENTRY: Final = 12
+
+
+def known_orientation(number: object) -> int:
+    """The orientation that a tag states, from 1 to 8; upright where it states none of them."""
+    return int(number) if isinstance(number, int) and UPRIGHT <= number <= 8 else UPRIGHT
+
+
+def exif_orientation(data: bytes) -> int:
+    """The orientation that a block of EXIF states, which is a TIFF without pixels; upright where it states none."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    if order is None or len(data) < 8:
+        return UPRIGHT
+    (at,) = struct.unpack(f"{order}I", data[4:8])
+    count = int.from_bytes(data[at : at + 2], "little" if order == "<" else "big")
+    for start in range(at + 2, min(at + 2 + _ENTRY * count, len(data) - _ENTRY + 1), _ENTRY):
+        tag, kind, _, value = struct.unpack(f"{order}HHIH", data[start : start + 10])
+        if tag == TAG and kind == 3:
+            return known_orientation(value)
+    return UPRIGHT
+
+
+def shape_upright(shape: tuple[int, int], orientation: int) -> tuple[int, int]:
+    """(H, W) of an image as it is seen."""
+    return (shape[1], shape[0]) if orientation in _ROWS_ARE_COLUMNS else shape
+
+
+def upright(image: Pixels | RawFrame, orientation: int) -> Any:
+    """Return the image as it is seen."""
+    if orientation == UPRIGHT:
+        return image
+    if isinstance(image, RawFrame):
+        cell = np.array(list(image.bayer_order)).reshape(2, 2)
+        order = "".join(_turned(cell, orientation).ravel())
+        (known,) = (one for one in BAYER_ORDERS if one == order)
+        return replace(image, mosaic=_turned(image.mosaic, orientation), bayer_order=known)
+    return _turned(image, orientation)
+
+
+def _turned(field: NDArray[Any], orientation: int) -> NDArray[Any]:
+    turned = field.swapaxes(0, 1) if orientation in _ROWS_ARE_COLUMNS else field
+    rows = -1 if orientation in _ROWS_BACKWARDS else 1
+    columns = -1 if orientation in _COLUMNS_BACKWARDS else 1
+    return np.ascontiguousarray(turned[::rows, ::columns])
+
+
+def check_one_orientation(images: Mapping[Path, ImageInfo]) -> None:
+    """Refuse images of one camera that are stored turned in different ways.
+
+    A phone or camera marks how it was held. Its sensor did not move over the skin, so that the marks cannot all be
+    right, or the camera was turned between frames.
+
+    Raises
+    ------
+    FrameSetError
+        Names two images and their marks.
+    """
+    (first, as_first), *others = images.items() if images else [(Path(), ImageInfo((0, 0), 1, 8))]
+    for image, info in others:
+        if info.orientation != as_first.orientation:
+            raise FrameSetError(
+                f"{image} is marked as turned otherwise than {first} (orientation {info.orientation} and "
+                f"{as_first.orientation}): remove the marks where the camera did not move on the sensor, for example "
+                "with exiftool -Orientation= -overwrite_original, or take the frames in one position"
+            )

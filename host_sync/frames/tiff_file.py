@@ -1,0 +1,145 @@
+"""TIFF files: the page of the image among its reduced copies, or the pages of three lights; what their tags state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
+from host_sync.errors import FrameSetError
+from host_sync.frames.camera_raw import every_page, is_page_whole, is_raw_tiff, open_raw
+from host_sync.frames.image_info import ACCEPTED, Decode, ImageInfo, Pixels, damaged, palette_channels
+from host_sync.frames.orientation import TAG, known_orientation
+
+PLANES: Final = 3
+"""So many grey pages are the lights of one image, as three grey files are."""
+
+_PAGE_NAME: Final = 285
+_NO_LIGHTS: Final = {"T": "frames of a sequence", "Z": "slices of a stack"}
+
+_TIFF_GREY: Final = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
+_TIFF_ALPHA: Final = (tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA)
+_JPEG_COMPRESSIONS: Final = (tifffile.COMPRESSION.JPEG, tifffile.COMPRESSION.OJPEG)
+_MAX_SAMPLE: Final = ("MaxSampleValue", "SMaxSampleValue", "WhiteLevel")
+
+
+def open_tiff(path: Path) -> tuple[ImageInfo, bool, Decode]:
+    """The header's facts, whether the file is complete, and what decodes its pixels.
+
+    Raises
+    ------
+    FrameSetError
+        It is damaged, or does not hold one image of grey or RGB.
+    """
+    try:
+        with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
+            size = path.stat().st_size
+            if is_raw_tiff(tiff):
+                if not all(is_page_whole(page, size) for page in every_page(tiff)):
+                    raise damaged(path)  # LibRaw would say so on the terminal
+                return open_raw(path)
+            if promises_another_page(tiff):
+                raise damaged(path)
+            pages = _full_pages(tiff, path)
+            is_complete = all(is_page_whole(page, size) for page in pages)
+            info = _page_info(pages[0], path)
+            info = replace(info, channels=len(pages)) if len(pages) > 1 else info
+    except FrameSetError:
+        raise
+    except TIFF_READ_ERRORS as error:
+        raise damaged(path) from error
+    return info, is_complete, lambda: _page_pixels(path)
+
+
+def promises_another_page(tiff: tifffile.TiffFile) -> bool:
+    """Return whether the last page found refers to a next one that does not exist."""
+    at = tiff.pages.next_page_offset
+    if at is None:
+        return True
+    tiff.filehandle.seek(at)
+    stored = tiff.filehandle.read(tiff.tiff.offsetsize)
+    return any(stored) or len(stored) < tiff.tiff.offsetsize
+
+
+def _full_pages(tiff: tifffile.TiffFile, path: Path) -> list[tifffile.TiffPage]:
+    """The page of the image itself, neither a reduced copy of it nor a mask; or those of R, G and B, one grey each.
+
+    Raises
+    ------
+    FrameSetError
+        There are others.
+    """
+    every = every_page(tiff)
+    images = [page for page in every if not page.is_reduced and not page.is_mask] or every[:1]
+    if len(images) == 1:
+        return images
+    named = {str(page.tags.valueof(_PAGE_NAME, "")).strip().lower()[:1]: page for page in images}
+    axis = tiff.series[0].axes[:1] if tiff.is_imagej or tiff.is_ome else ""
+    mend = "save the right one as its own file"
+    if len(images) != PLANES or axis in _NO_LIGHTS:
+        called = f", {_NO_LIGHTS[axis]}" if axis in _NO_LIGHTS else ""
+        raise FrameSetError(f"{path}: holds {len(images)} pages{called}: {mend}")
+    first = _kind(images[0])
+    if first[0] not in _TIFF_GREY or any(page.samplesperpixel != 1 or _kind(page) != first for page in images):
+        raise FrameSetError(f"{path}: holds 3 pages that are not grey ones of one size and kind, R, G and B: {mend}")
+    return [named[light] for light in "rgb"] if set(named) == set("rgb") else images
+
+
+def _kind(page: tifffile.TiffPage) -> tuple[object, ...]:
+    return page.photometric, page.shape, page.dtype, page.bitspersample, page.tags.valueof(TAG, 1)
+
+
+def _page_info(page: tifffile.TiffPage, path: Path) -> ImageInfo:
+    kind, dtype, stored = page.photometric, page.dtype, page.bitspersample
+    is_jpeg_colour = kind == tifffile.PHOTOMETRIC.YCBCR and page.compression in _JPEG_COMPRESSIONS
+    is_palette = kind == tifffile.PHOTOMETRIC.PALETTE and page.colormap is not None
+    if kind not in (*_TIFF_GREY, tifffile.PHOTOMETRIC.RGB) and not is_jpeg_colour and not is_palette:
+        raise FrameSetError(f"{path}: is neither grey nor RGB: {ACCEPTED}")
+    samples, alphas = int(page.samplesperpixel), [one for one in page.extrasamples if one in _TIFF_ALPHA]
+    if dtype is None or dtype.kind != "u" or page.imagedepth != 1:
+        raise FrameSetError(f"{path}: holds {dtype} of shape {page.shape}: {ACCEPTED}")
+    channels, bits = samples - len(alphas), 8 * dtype.itemsize
+    if is_palette and samples == 1:
+        channels, bits, stored = palette_channels(_tiff_palette(page)), 8, 8
+    full_scale = (1 << stored) - 1 if stored not in (8, 16) else None
+    if stored == 16:
+        stated = [int(np.max(page.tags[tag].value)) for tag in _MAX_SAMPLE if tag in page.tags]
+        full_scale = next((one for one in stated if one > 0), _ome_full_scale(page))
+    if stored < 8:
+        bits = stored
+    shape, orientation = (int(page.imagelength), int(page.imagewidth)), known_orientation(page.tags.valueof(TAG))
+    return ImageInfo(shape, channels, bits, full_scale, bool(alphas), orientation=orientation)
+
+
+def _ome_full_scale(page: tifffile.TiffPage) -> int | None:
+    """The full scale that microscopes' metadata state as a number of significant bits."""
+    _, _, rest = (page.description or "").partition('SignificantBits="')
+    bits = rest.partition('"')[0]
+    return (1 << int(bits)) - 1 if bits.isdecimal() and 8 < int(bits) <= 16 else None
+
+
+def _tiff_palette(page: tifffile.TiffPage) -> NDArray[np.uint8]:
+    """Entries of the palette, R, G, B of 8 bit one after another; the file stores planes of 16 bit."""
+    return np.asarray(np.asarray(page.colormap) >> 8, np.uint8).reshape(3, -1).T.ravel()
+
+
+def _page_pixels(path: Path) -> Pixels:
+    with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
+        planes: list[Any] = [_pixels_of(page) for page in _full_pages(tiff, path)]
+        return planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+
+
+def _pixels_of(page: tifffile.TiffPage) -> Pixels:
+    pixels = np.asarray(page.asarray(maxworkers=1))
+    if page.samplesperpixel > 1 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
+        pixels = np.ascontiguousarray(np.moveaxis(pixels, 0, -1))
+    if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+        pixels = np.asarray((1 << page.bitspersample) - 1 - pixels, pixels.dtype)
+    if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
+        pixels = _tiff_palette(page).reshape(-1, 3)[pixels]
+    return pixels
