@@ -107,17 +107,28 @@ def _written(
     library: Path | None,
     choices: ExportChoices,
 ) -> tuple[list[Path], list[str]]:
-    place, scan = Path(source), None
-    if os.sep not in source and not _is_surface(place):
-        held = Library(library or default_library())
-        scan = held.named(source)
-        if set(forms) - set(RAW):
-            place = held.newest_result(scan)
+    place = Path(source)
+    held = None if os.sep in source or _is_surface(place) else Library(library or default_library())
+    scan = held.named(source) if held else None
     raw = [cast(RawFormat, form) for form in forms if scan and form in RAW]
     of_surface = tuple(form for form in forms if form not in raw)
-    written, refused = _export_surface(place, of_surface, out, choices) if of_surface else ([], [])
-    if scan:
-        written += [export_raw(scan, form, out, overwrite=choices.overwrite) for form in raw]
+    written: list[Path] = []
+    refused: list[str] = []
+    if of_surface:
+        try:
+            place = held.newest_result(scan) if held and scan else place
+            written, refused = _export_surface(place, of_surface, out, choices)
+        except (DeviceError, HostError) as error:
+            if not raw:
+                raise
+            refused.append(f"{', '.join(of_surface)}: {error}")
+    if scan is None:
+        return written, refused
+    for form in raw:
+        try:
+            written.append(export_raw(scan, form, out, overwrite=choices.overwrite))
+        except (DeviceError, HostError) as error:
+            refused.append(f"{form}: {error}")
     return written, refused
 
 
@@ -129,19 +140,13 @@ def _export_surface(
 ) -> tuple[list[Path], list[str]]:
     # Pillow and the writers are loaded here, so that other commands start without them.
     from host_sync.export.source_surface import read_surface
-    from host_sync.export.surface_export import export_surface, without_refused
+    from host_sync.export.surface_export import export_surface
     from host_sync.export.tmd import read_tmd
 
     if "dng" in forms:
         raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")
     surface = read_surface(place) if place.is_dir() else read_tmd(place)
-    try:
-        return list(export_surface(surface, forms, out, choices)), []
-    except ExportError:
-        possible, refused = without_refused(surface, forms, choices)
-        if not possible or not refused:
-            raise
-    return list(export_surface(surface, possible, out, choices)), refused
+    return export_surface(surface, forms, out, choices)
 
 
 def _is_surface(place: Path) -> bool:

@@ -25,50 +25,43 @@ DEVICE_NAMES: Final = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("
 
 def export_surface(
     surface: SourceSurface, forms: Sequence[str], folder: Path, choices: ExportChoices
-) -> tuple[Path, ...]:
-    """Write files named after the surface into `folder`; returns their paths.
+) -> tuple[list[Path], list[str]]:
+    """Write files named after the surface into `folder`; returns their paths, and a sentence for each other format.
 
     Raises
     ------
     ExportError
-        A format cannot hold the surface, a file exists already (nothing is written then), or the folder cannot be
-        written.
+        Nothing can be written: a file exists already, the line of the profile is not on the surface, or no format
+        holds the surface.
     """
     stem = file_stem(surface.name)
-    files = {folder / f"{stem}{suffix}": write for suffix, write in _writers(surface, forms, choices).items()}
-    stale = set() if surface.doubts else {doubts_path(path) for path in files}
-    check_own(files, choices.reserved)
-    if not choices.overwrite:
-        check_free([*files, *sorted(stale)])
-    for path, write in files.items():
-        publish(path, write)
-    for path in stale:  # of a surface that was replaced
-        withdraw(path)
-    return tuple(files)
-
-
-def without_refused(
-    surface: SourceSurface, forms: Sequence[str], choices: ExportChoices
-) -> tuple[tuple[str, ...], list[str]]:
-    """The formats that can hold the surface, and a sentence for each other reason to refuse one.
-
-    Raises
-    ------
-    ExportError
-        The line of the profile is not on the surface: that is for the user to correct.
-    """
-    possible: list[str] = []
+    possible: dict[str, dict[Path, Writer]] = {}
     refused: dict[str, list[str]] = {}
     for form in dict.fromkeys(forms):
         try:
-            _writers(surface, (form,), choices)
+            possible[form] = {folder / f"{stem}{end}": write for end, write in _writers(surface, form, choices).items()}
         except ExportError as error:
             if form == "csv":
                 raise
             refused.setdefault(str(error), []).append(form)
-        else:
-            possible.append(form)
-    return tuple(possible), [f"{', '.join(names)}: {words}" for words, names in refused.items()]
+    files = [path for writers in possible.values() for path in writers]
+    stale = {path: doubts_path(path) for path in files} if not surface.doubts else {}
+    check_own(files, choices.reserved)
+    if not choices.overwrite:
+        check_free([*files, *sorted(stale.values())])
+    written: list[Path] = []
+    for form, writers in possible.items():
+        try:
+            for path, write in writers.items():
+                publish(path, write)
+                written.append(path)
+                if path in stale:  # of a surface that was replaced
+                    withdraw(stale[path])
+        except ExportError as error:
+            refused.setdefault(str(error), []).append(form)
+    if refused and not written:
+        raise ExportError("; ".join(refused))
+    return written, [f"{', '.join(names)}: {words}" for words, names in refused.items()]
 
 
 def file_stem(name: str) -> str:
@@ -78,30 +71,29 @@ def file_stem(name: str) -> str:
     return f"_{kept}" if kept.partition(".")[0].lower() in DEVICE_NAMES or kept.startswith("-") else kept
 
 
-def _writers(surface: SourceSurface, forms: Sequence[str], choices: ExportChoices) -> dict[str, Writer]:
-    """Suffix and writer of each file, once options and sizes are checked."""
+def _writers(surface: SourceSurface, name: str, choices: ExportChoices) -> dict[str, Writer]:
+    """Suffix and writer of each file of a format, once options and sizes are checked."""
+    form = FORMATS[name]
+    suffix = f".{form.suffix or name}"
+    options: tuple[Any, ...] = ()
+    mesh = grid_mesh(surface, choices.mesh_step) if form.is_mesh else None
+    if mesh:
+        options = (surface.name, choices.base_mm) if name == "stl" else (surface.name,)
+        if name == "stl" and choices.base_mm is not None:
+            solid(mesh, choices.base_mm)  # refused before anything is written
+    elif name == "csv":
+        pixels_on_line(surface, choices.line_um)
+        options = (choices.line_um, choices.semicolon)
+    written = {suffix: (form.writer, mesh or surface, options)}
+    if choices.sigma and form.one_layer:
+        written[f".sigma{suffix}"] = (form.writer, _sigma_of(surface), ())
     writers: dict[str, Writer] = {}
-    mesh = grid_mesh(surface, choices.mesh_step) if any(FORMATS[form].is_mesh for form in forms) else None
-    if mesh and "stl" in forms and choices.base_mm is not None:
-        solid(mesh, choices.base_mm)  # refused before anything is written
-    for name in dict.fromkeys(forms):
-        form = FORMATS[name]
-        suffix = f".{form.suffix or name}"
-        options: tuple[Any, ...] = ()
-        if name == "csv":
-            pixels_on_line(surface, choices.line_um)
-            options = (choices.line_um, choices.semicolon)
-        elif mesh and form.is_mesh:
-            options = (surface.name, choices.base_mm) if name == "stl" else (surface.name,)
-        written = {suffix: (form.writer, mesh if form.is_mesh else surface, options)}
-        if choices.sigma and form.one_layer:
-            written[f".sigma{suffix}"] = (form.writer, _sigma_of(surface), ())
-        for of, (writer, subject, rest) in written.items():
-            writers[of] = partial(_call, load(writer), subject, rest)
-            if form.little_room and surface.doubts:
-                writers[doubts_path(Path(of)).name] = partial(_write_doubts, surface)
-        if form.side_writer:
-            writers[f".{form.side_suffix}"] = partial(_call, load(form.side_writer), surface, ())
+    for of, (writer, subject, rest) in written.items():
+        writers[of] = partial(_call, load(writer), subject, rest)
+        if form.little_room and surface.doubts:
+            writers[doubts_path(Path(of)).name] = partial(_write_doubts, surface)
+    if form.side_writer:
+        writers[f".{form.side_suffix}"] = partial(_call, load(form.side_writer), surface, ())
     return writers
 
 

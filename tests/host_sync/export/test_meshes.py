@@ -183,7 +183,7 @@ def test_a_base_makes_it_watertight(shown: str, tmp_path: Path) -> None:
     if shown == "touching":
         z_um[9:14, 12:18] = z_um[20, 20] = z_um[22, 22] = np.nan
     surface = SourceSurface(name="part", z_um=z_um.astype(np.float32), pitch_um=20.0)
-    (path,) = export_surface(surface, ["stl"], tmp_path, ExportChoices(base_mm=1.5))
+    (path,), _ = export_surface(surface, ["stl"], tmp_path, ExportChoices(base_mm=1.5))
     solid = trimesh.load_mesh(path)
     assert solid.is_watertight
     assert solid.is_winding_consistent

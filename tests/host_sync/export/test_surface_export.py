@@ -257,3 +257,56 @@ def test_a_scans_newest_result_is_exported(
     assert export(scan.scan_id, tmp_path / "out", "npz", "--library", str(store.root)) == 0
     with np.load(tmp_path / "out" / "part-7.npz") as held:
         assert np.array_equal(held["z_um"], z_um, equal_nan=True)
+
+
+def test_a_format_that_cannot_hold_a_long_field_leaves_the_others_and_can_be_tried_again(
+    write_result: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = write_result(np.zeros((3, 70_000), np.float32))
+    monkeypatch.setattr("host_sync.export.gwy.LARGEST", 1000)
+    out = tmp_path / "out"
+    forms = ("gwy", "gsf", "sdf", "x3p", "sur", "al3d", "tmd", "tiff", "png", "npz", "csv", "ply")
+    assert export(folder, out, *forms) == 1
+    said = capsys.readouterr()
+    assert [line.split(": ")[1] for line in said.err.splitlines()] == ["gwy", "sdf"]
+    assert len(said.out.splitlines()) == len(list(out.iterdir())) == len(forms) - 2 + 1
+    monkeypatch.undo()
+    assert export(folder, out, "gwy") == 0
+    assert export(folder, out, "sdf") == 2
+    assert "retrosync: part-7: SDF ends at 65535" in capsys.readouterr().err
+
+
+def test_a_file_too_large_for_the_disk_leaves_the_others(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, hard))
+    try:
+        code = export(result, tmp_path / "out", "obj", "csv", "npz", "png")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capsys.readouterr()
+    assert code == 1
+    written = [Path(line).name for line in said.out.splitlines()]
+    assert "part-7.csv" in written
+    assert sorted(written) == sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert "retrosync: obj: " in said.err
+    assert "cannot be written (" in said.err
+
+
+def test_a_raw_frame_is_written_where_a_scan_has_no_result(
+    store: BundleStore,
+    publish_scan: Callable[..., ScanBundle],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    scan = publish_scan(store)
+    out = tmp_path / "out"
+    assert export(scan.scan_id, out, "gsf", "dng", "stl", "--library", str(store.root)) == 1
+    said = capsys.readouterr()
+    assert [path.suffix for path in out.iterdir()] == [".dng"]
+    assert said.err.startswith("retrosync: gsf, stl: ")
+    assert "reconstruct" in said.err

@@ -25,7 +25,7 @@ def surface() -> np.ndarray:
 
 
 def written(form: str, folder: Path) -> Path:
-    (path,) = export_surface(SourceSurface("part", surface(), 12.0), (form,), folder, ExportChoices())
+    (path,), _ = export_surface(SourceSurface("part", surface(), 12.0), (form,), folder, ExportChoices())
     return path
 
 
