@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import dropwhile
 from pathlib import Path
 from typing import Final
 
@@ -14,20 +16,21 @@ from host_sync.errors import HostError
 
 MAX_BYTES: Final = 64 << 20
 BYTE_ORDER_MARK: Final = "\ufeff"
+_SEPARATOR: Final = re.compile(r'\s*"?sep=', re.IGNORECASE)
 
 
 def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) -> list[dict[str, str]]:
     """Rows of a table with a line of names; empty texts where a row is short, and no row that is blank.
 
-    Commas, semicolons or tabs separate columns, as the line of names shows, or a line "sep=;" before it; text is UTF-8,
-    UTF-16 or Windows-1252.
+    Commas, semicolons or tabs separate columns, as the line of names shows, or what a line "sep=|" before it states;
+    text is UTF-8, UTF-16 or Windows-1252.
 
     columns : names of columns that the table must have; in the table, letters of any case spell them
 
     Raises
     ------
     HostError
-        The file cannot be read or is no table, or has not these columns, as the given class.
+        The file cannot be read or is no table, or has not each of these columns once, as the given class.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -35,21 +38,30 @@ def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) 
         text = _decoded(path.read_bytes())
         if "\0" in text:
             raise error(f"{path}: is not text: name a CSV file")
-        first, _, rest = text.partition("\n")
-        text = rest if first.strip().strip('"').lower().startswith("sep=") else text
-        names = text.partition("\n")[0]
-        separator = max(",;\t", key=names.count)
-        rows = csv.DictReader(text.splitlines(), restkey="more", restval="", delimiter=separator, skipinitialspace=True)
+        lines = list(dropwhile(_is_blank, text.splitlines()))
+        stated = lines.pop(0).strip().strip('"')[4:5] if lines and _SEPARATOR.match(lines[0]) else ""
+        names = lines[0] if lines else ""
+        separator = stated or max(",;\t", key=names.count)
+        rows = csv.DictReader(lines, restkey="more", restval="", delimiter=separator, skipinitialspace=True)
         spelled = {name.casefold(): name for name in columns}
         rows.fieldnames = [spelled.get(name.strip().casefold(), name.strip()) for name in rows.fieldnames or ()]
         if lost := [name for name in columns if name not in rows.fieldnames]:
-            raise error(f"{path}: has no column {', '.join(lost)}: correct its line of names")
+            raise error(
+                f"{path}: has no column {', '.join(lost)}: correct its line of names, with commas, semicolons or tabs "
+                "between them"
+            )
+        if twice := [name for name in columns if rows.fieldnames.count(name) > 1]:
+            raise error(f"{path}: has two columns {', '.join(twice)}: leave the right one")
         cells = [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows)]
         return [row for row in cells if any(row.values())]
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror}): name a CSV file") from problem
     except (UnicodeDecodeError, csv.Error) as problem:
         raise error(f"{path}: is no table ({problem}): name a CSV file, or correct it") from problem
+
+
+def _is_blank(line: str) -> bool:
+    return not line.strip(",;\t\" ")
 
 
 def _whole(rows: csv.DictReader[str]) -> Iterator[dict[str, str]]:

@@ -31,20 +31,15 @@ def read_rows(path: Path, value_column: str) -> list[GageRow]:
     MeasurementError
         The file cannot be read, or lacks a column or a cell.
     """
-    table = read_table(path, MeasurementError)
     wanted = ("part", "operator", value_column)
+    table = read_table(path, MeasurementError, wanted)
     if not table:
         raise MeasurementError(f"{path}: has no row below its line of names")
-    missing = [name for name in wanted if name not in table[0]]
-    if missing:
-        raise MeasurementError(
-            f"{path}: has no column {', '.join(missing)}: its first line must name {', '.join(wanted)}"
-        )
     rows = []
-    for number, cells in enumerate(table, start=2):
+    for number, cells in enumerate(table, start=1):
         part, operator, value = (cells[name] for name in wanted)
         if not (part and operator and value):
-            raise MeasurementError(f"{path}: line {number}: a cell is empty: fill it in")
+            raise MeasurementError(f"{path}: row {number} below the line of names: a cell is empty: fill it in")
         rows.append(GageRow(part, operator, value))
     return rows
 
@@ -55,9 +50,13 @@ def numbers(rows: Iterable[GageRow], source: str) -> list[tuple[str, str, float]
     Raises
     ------
     MeasurementError
-        A value is no finite number.
+        A value is no finite number, or signs are written between thousands.
     """
     found = []
+    rows = list(rows)
+    texts = "".join(row.value for row in rows)
+    if "," in texts and "." in texts:
+        raise MeasurementError(f"{source}: values hold points and commas: write no sign between thousands")
     for row in rows:
         number = number_in(row.value)
         if not np.isfinite(number):

@@ -47,6 +47,11 @@ def share_at(mask: MaskArray | None, places: Float64Array) -> float | None:
     return float(mask[row, column].mean())
 
 
+def reaches_beyond(shape: tuple[int, int], places: Float64Array) -> bool:
+    """Return whether places lie more than a pixel outside of a field of `shape` (H, W)."""
+    return bool(len(places) and ((places < -1.0) | (places > shape)).any())
+
+
 def _grid(top: float, left: float, bottom: float, right: float) -> Float64Array:
     row, column = np.meshgrid(np.linspace(top, bottom, ALONG), np.linspace(left, right, ALONG), indexing="ij")
     return np.stack([row.ravel(), column.ravel()], axis=-1)

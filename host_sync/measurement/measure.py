@@ -15,7 +15,7 @@ from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.circle import CircleMeasurand
-from host_sync.measurement.footprint import share_at
+from host_sync.measurement.footprint import reaches_beyond, share_at
 from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.levelling import Levelling, LevelSpread
@@ -54,6 +54,8 @@ NO_SHAPE_SIGMA: Final = (
 )
 
 NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: set scale.pixel_pitch_share"
+
+BEYOND: Final = "reaches beyond the field: only the part inside is measured"
 
 AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
 PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
@@ -127,7 +129,8 @@ class _MeasurementPlan:
         share = share_at(surface.extrapolated, one.places_px) if len(one.places_px) else None
         if one is self.areal and share is not None:
             share = 0.0  # it states its own fraction, and what was done with it
-        return tuple(doubt.sentence for doubt in doubts_at(surface.doubts, one.places_px, shape, share))
+        words = tuple(doubt.sentence for doubt in doubts_at(surface.doubts, one.places_px, shape, share))
+        return (*words, BEYOND) if reaches_beyond(shape, one.places_px) else words
 
     @property
     def measurands(self) -> list[Measurand]:

@@ -30,6 +30,9 @@ def test_what_is_written_is_read(semicolon: bool, tmp_path: Path) -> None:
         "part\toperator\tvalue\nA\tAda\t1,5\n".encode("utf-16"),
         b'part,operator,value\nA,Ada,"1,5"\n',
         "part;operator;value;µ\nA;Ada;1.5;\n".encode("cp1252"),
+        b"sep=|\r\npart|operator|value\r\nA|Ada|1,5\r\n",
+        b'"sep=;"\rpart;operator;value\rA;Ada;1,5\r',
+        b"\r\n;;\r\nPart;Operator;VALUE\r\nA;Ada;1,5\r\n",
     ],
 )
 def test_tables_of_other_languages_are_read(data: bytes, tmp_path: Path) -> None:
@@ -44,6 +47,22 @@ def test_a_number_that_a_comma_cuts_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match="line 2 has more cells than the line of names"):
         read_table(path, MeasurementError)
     assert math.isnan(number_in("1,5,0"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("part|operator|value\nA|Ada|1.5\n", "has no column part, operator, value: .* commas, semicolons or tabs"),
+        ("part,operator,value,Value\nA,Ada,1.5,2.5\n", "has two columns value: leave the right one"),
+        ("part;operator;value\n\nA;Ada;\n", "row 1 below the line of names: a cell is empty"),
+        ("part;operator;value\nA;Ada;1,234\nB;Ada;987.6\n", "points and commas: write no sign between thousands"),
+    ],
+)
+def test_a_table_that_can_be_read_in_two_ways_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(MeasurementError, match=words):
+        numbers(read_rows(path, "value"), "table")
 
 
 def test_a_spreadsheet_of_a_decimal_comma_opens_numbers_and_no_formula() -> None:

@@ -288,3 +288,14 @@ def test_an_angle_between_regions_that_are_not_flat_says_so_and_is_as_unsure(wri
     assert on_roof.uncertainty is not None
     assert on_ball.uncertainty is not None
     assert on_ball.uncertainty > 4.0 > 1.0 > on_roof.uncertainty
+
+
+def test_a_region_that_reaches_beyond_the_field_says_that_its_part_inside_is_measured(
+    write_result: Write, wave: np.ndarray
+) -> None:
+    folder = write_result(wave, samples=0)
+    whole, beyond = ((0.0, 0.0, 1200.0, 900.0), (0.0, 0.0, 12_000.0, 900.0))
+    for region, is_said in ((whole, False), (beyond, True)):
+        table = RadiusTable(name="ball", region_um=region)
+        found = measure_result(folder, Recipe(region_um=region, parameters=("Sa",), radius=(table,)))
+        assert any("beyond the field" in word for word in number(found, "Sa").warnings) == is_said
