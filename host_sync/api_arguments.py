@@ -23,6 +23,7 @@ from host_sync.errors import (
     HostError,
     IntegrationError,
 )
+from host_sync.frames.equal_channels import check_channels
 from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.full_scale import count_values, full_scale_of
@@ -209,6 +210,8 @@ def press_frame(number: int, press: Press, pixel_pitch_um: float, form: FrameSpe
     spacing = press.grid_pitch_mm
     grid = None if spacing is None else GridSpacing(positive("grid_pitch_mm", spacing, FrameSetError))
     frame = linear_frame(press.image, form)
+    images = [Path(path) for path in _paths(press.image)] if _is_series(press.image) else []
+    check_channels(frame.rgb, f"press {number}", images)
     balls = None if press.balls is None else _balls(f"press {number}", press.balls, radius_px)
     if balls and form.pixel_shape != 1.0:
         stored = stored_shape(press.image)

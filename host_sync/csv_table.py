@@ -61,7 +61,7 @@ def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) 
 
 
 def _is_blank(line: str) -> bool:
-    return not line.strip(",;\t\" ")
+    return not line.strip(',;\t" ')
 
 
 def _whole(rows: csv.DictReader[str]) -> Iterator[dict[str, str]]:

@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from device.balls.sphere import Ball
+from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
+from host_sync.frames.equal_channels import check_channels
 from host_sync.frames.frame_set_file import (
     Encoding,
     FileTable,
@@ -139,7 +143,7 @@ class FrameSet:
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
-    """Read and check a frame set file; of its images, only headers are read and, of 16 bit, where their counts end.
+    """Read and check a frame set file; of its images, only headers, the first press and, of 16 bit, counts are read.
 
     calibrates : refuse a set without a calibration press
 
@@ -171,6 +175,8 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         full_scale, is_stated = _full_scale([spec for _, spec in keyed], len(scans), known, path)
     else:
         full_scale, is_stated = file.full_scale, True
+    if press_frames:
+        _check_channels(press_frames[0], f"{path}: press[0].image")
     lights = _light_names(file, channels, path)
     if full_scale is not None:
         reference = reference and replace(reference, full_scale=full_scale)
@@ -198,6 +204,15 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
         isinstance(file.pixel_pitch_um, tuple),
         all(press.ball_diameter_mm is not None for press in file.press),
     )
+
+
+def _check_channels(press: FrameSpec, name: str) -> None:
+    """Refuse a press of which two channels are equal; those of a raw mosaic have sites of their own."""
+    planes = [pixels for image in press.images if not isinstance(pixels := read_image(image), RawFrame)]
+    if len(planes) > 1:
+        check_channels(np.stack(planes, axis=-1), name, press.images)
+    elif planes and planes[0].ndim == 3:
+        check_channels(planes[0], f"{name}: {press.name}")
 
 
 def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | None:

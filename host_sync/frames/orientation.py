@@ -1,4 +1,4 @@
-"""How an image is stored: as it is seen, or turned and mirrored, which a mark in its header says (TIFF, EXIF)."""
+"""Images that are stored turned or mirrored, as a mark in their header says (TIFF, EXIF), brought upright."""
 
 from __future__ import annotations
 

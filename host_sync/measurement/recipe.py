@@ -245,7 +245,7 @@ def recipe_of(data: bytes, source: str) -> Recipe:
     except msgspec.ValidationError as error:
         raise MeasurementError(f"{source}: {_explained(error)}") from error
     except msgspec.DecodeError as error:
-        raise MeasurementError(f"{source}: {error}: name a recipe") from error
+        raise MeasurementError(f"{source}: {error}") from error
     return checked(recipe, source)
 
 
@@ -264,7 +264,9 @@ def checked(recipe: Recipe, source: str) -> Recipe:
     known = (*GROUPS, *AREAL)
     for name in recipe.parameters:
         if name not in known:
-            raise MeasurementError(f"{source}: parameters: {name!r} is unknown; accepted are {', '.join(known)}")
+            words = f"parameters: {name!r} is unknown; accepted are {', '.join(known)}"
+            of_lines = "; a line's parameters come with [[profile]]" if name[:1] in "PRW" else ""
+            raise MeasurementError(f"{source}: {words}{of_lines}")
     bands = [("", recipe.s_filter_um, recipe.l_filter_um)]
     bands += [(f"profile[{i}].", one.s_filter_um, one.l_filter_um) for i, one in enumerate(recipe.profile)]
     for where, s_um, l_um in bands:
@@ -342,6 +344,10 @@ def _explained(error: msgspec.ValidationError) -> str:
         problem += f"; accepted keys are {', '.join(_TABLES.get(table, Recipe).__struct_fields__)}"
     elif last in _ACCEPTED:
         problem += f"; accepted are {_ACCEPTED[last]}"
+    elif last in _TABLES and problem.startswith("is a table"):
+        problem += f": write [[{last}]]"
+    elif last.endswith("_um") and (found := re.match(r"is a list of (\d+); accepted is a list of (\d+)", problem)):
+        problem += ": write decimal points" if int(found[1]) == 2 * int(found[2]) else ""
     return f"{key}: {problem}" if key else problem
 
 

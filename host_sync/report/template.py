@@ -66,7 +66,7 @@ def read_template(path: Path) -> tuple[Template, Picture | None]:
             f"{path}: {key}: {problem}; accepted keys are {known}; parts: {', '.join(PARTS)}"
         ) from error
     except msgspec.DecodeError as error:
-        raise MeasurementError(f"{path}: {error}: name a report's template") from error
+        raise MeasurementError(f"{path}: {error}") from error
     if "numbers" not in template.parts:
         raise MeasurementError(f"{path}: parts: a report has numbers: add them")
     return template, _logo(path.parent / template.logo) if template.logo else None

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,12 @@ import pytest
 import tifffile
 from PIL import Image
 
+from host_sync.api_arguments import press_frame
+from host_sync.api_types import Press
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec, load_frame_set
 from host_sync.frames.linear_light import decode_srgb, read_frame
+from tests.apparatus.ball_folder import frame
 
 DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))
 SHAPE = (20, 30)
@@ -374,3 +378,35 @@ def test_frames_that_are_marked_as_turned_in_different_ways_are_refused(write: W
     sentence = refused(path)
     assert "scan.png is marked as turned otherwise than" in sentence
     assert "(orientation 6 and 3): remove the marks" in sentence
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg"])
+@pytest.mark.parametrize("copied", [[0, 0, 2], [0, 1, 1], [2, 1, 2]])
+def test_two_equal_channels_of_a_press_are_named(write: Write, kind: str, copied: list[int]) -> None:
+    image = frame([(70.0, 60.0)])[..., ::-1]
+    path = write(GOOD.replace('["r.png", "g.png", "b.png"]', f'"ball.{kind}"'))
+    for name in ("flat.png", "scan.png"):
+        save(path.parent / name, image)
+    save(path.parent / f"ball.{kind}", image)
+    load_frame_set(path)
+    save(path.parent / f"ball.{kind}", image[..., copied])
+    (first, second) = (at for at in range(3) if copied.count(copied[at]) == 2)
+    assert f"ball.{kind}: its channels {'RGB'[first]} and {'RGB'[second]} are equal" in refused(path)
+
+
+def test_an_image_that_stands_for_two_lights_is_named(write: Write) -> None:
+    path = write(GOOD)
+    image = frame([(15.0, 10.0)])[:20, :30]
+    for channel, name in enumerate(("r.png", "g.png", "b.png")):
+        save(path.parent / name, image[..., channel])
+    load_frame_set(path)
+    shutil.copy(path.parent / "r.png", path.parent / "b.png")
+    assert "press[0].image: r.png and b.png show the same: name the image of each light" in refused(path)
+
+
+def test_two_equal_channels_of_an_array_are_named() -> None:
+    image = frame([(70.0, 60.0)])[..., ::-1]
+    form = FrameSpec((), "linear")
+    assert press_frame(0, Press(image, ball_radius_mm=2.0), 50.0, form).balls is None
+    with pytest.raises(FrameSetError, match="press 0: its channels G and B are equal"):
+        press_frame(0, Press(np.ascontiguousarray(image[..., [0, 1, 1]]), ball_radius_mm=2.0), 50.0, form)

@@ -6,6 +6,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.measurement.recipe import Recipe, checked, from_options, read_recipe
+from host_sync.report.template import read_template
 
 WHOLE = """
 name = "ground face"
@@ -64,6 +65,9 @@ def test_a_whole_recipe_is_read(tmp_path: Path) -> None:
         ("l_filter_um = nan", ("l_filter_um",)),
         ('l_filter_um = "fine"', ("l_filter_um: is a text; accepted is a number or nothing",)),
         ("region_um = [1, 2]", ("region_um: is a list of 2; accepted is a list of 4",)),
+        ("region_um = [0,5, 0,5, 9,5, 9,5]", ("is a list of 8; accepted is a list of 4: write decimal points",)),
+        ('[angle]\nname = "a"', ("angle: is a table; accepted is a list: write [[angle]]",)),
+        ('parameters = ["Ra"]', ("parameters: 'Ra' is unknown", "; a line's parameters come with [[profile]]")),
         ("spectrum = 1", ("spectrum: is a whole number; accepted is true or false",)),
         ("[[distance]]", ("distance[0]: name is missing",)),
         ('[[distance]]\nname = ""', ("distance[0].name: is too short; accepted is at least 1 characters",)),
@@ -104,6 +108,14 @@ def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(MeasurementError, match=r"b\.toml"):
         read_recipe(tmp_path / "b.toml")
+
+
+def test_advice_on_text_that_is_no_toml_ends_with_the_mend(tmp_path: Path) -> None:
+    path = tmp_path / "smart.toml"
+    path.write_text("parameters = [“Sa”]", encoding="utf-8")
+    for reads in (read_recipe, read_template):
+        with pytest.raises(MeasurementError, match=r'write straight quotes, "…"$'):
+            reads(path)
 
 
 def test_options_stand_in_for_keys_and_are_checked_as_they_are() -> None:
