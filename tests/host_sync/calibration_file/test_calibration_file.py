@@ -39,6 +39,7 @@ from host_sync.denoising.null_colour import NullColour
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.kernels.cache import USER_CACHE
+from host_sync.light.model import LightModel
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.slope_reading import read_slopes
 from host_sync.results.record import SlopeNoise
@@ -411,6 +412,22 @@ def test_the_light_model_is_read_as_it_was_written(kept: KeptCalibration) -> Non
     for own, other in zip((read.model, *read.folds), (written.model, *written.folds), strict=True):
         for field in fields(other):
             np.testing.assert_array_equal(getattr(own, field.name), getattr(other, field.name), err_msg=field.name)
+
+
+def test_a_light_model_without_sources_is_read_as_it_was_written(kept: KeptCalibration) -> None:
+    light = kept.calibration.light
+
+    def sourceless(model: LightModel) -> LightModel:
+        return replace(
+            model, sources=np.zeros((0, 5)), strengths=np.zeros((3, 0)), haze=np.ones(3), albedo=0.0
+        )  # fmt: skip
+
+    folds = tuple(sourceless(fold) for fold in light.folds)
+    written = replace(kept.calibration, light=replace(light, model=sourceless(light.model), folds=folds))
+    found = from_members(as_members(written), Calibration)
+    check_sound(found, "file")
+    assert not found.light.has_sources
+    np.testing.assert_array_equal(found.light.model.residual, light.model.residual)
 
 
 def drawn_null_colour() -> NullColour:
