@@ -20,6 +20,9 @@ LARGEST: Final = 0.08
 SMALLEST: Final = 0.01
 """Width of the largest and the smallest mark, fractions of the frame's shorter side."""
 
+REDUCED_PX: Final = 3.0
+"""Width of the smallest mark in the reduced frame in which a pattern is searched for, pixels."""
+
 DARKER: Final = 0.25
 """A mark lowers the logarithm of every light by so much."""
 
@@ -56,8 +59,13 @@ class MarkPattern:
     @classmethod
     def of(cls, reference: LinearFrame) -> MarkPattern | None:
         """The pattern that untouched skin shows: many marks, of one size, evenly spaced; None where it shows none."""
-        shorter = min(reference.shape)
-        _, area, centres = _marks(reference.rgb, LARGEST * shorter, SMALLEST * shorter)
+        rows, columns = reference.shape
+        shorter = min(rows, columns)
+        factor = max(1, int(SMALLEST * shorter / REDUCED_PX))
+        small = columns // factor, rows // factor
+        reduced = np.asarray(cv2.resize(reference.rgb, small, interpolation=cv2.INTER_AREA), np.float32)
+        reduced = reduced.reshape(*small[::-1], -1)
+        _, area, centres = _marks(reduced, LARGEST * shorter / factor, SMALLEST * shorter / factor)
         if len(area) < MIN_MARKS:
             return None
         apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -66,7 +74,7 @@ class MarkPattern:
         size, near = np.abs(np.log(area / np.median(area))), np.abs(np.log(nearest / np.median(nearest)))
         if ((size < np.log(ALIKE)) & (near < np.log(REGULAR))).mean() < MOST:
             return None
-        pattern = cls(float(np.sqrt(np.median(area))), 0.0)
+        pattern = cls(factor * float(np.sqrt(np.median(area))), 0.0)
         covered = float(pattern.hidden(reference).mean())
         return replace(pattern, covered=covered) if covered < DENSEST else None
 
