@@ -11,6 +11,7 @@ import numpy as np
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array, MaskArray
 from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.light.kernel_derivatives import EXTENT, light_derivatives
 from host_sync.light.kernels import write_light
 from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms, source_points
 from host_sync.light.numbers import COAT, COAT_SIGMA, COAT_START, Numbers
@@ -39,7 +40,6 @@ GENTLE: Final = 0.35
 ROUNDS: Final = 25
 TOLERANCE: Final = 1e-4
 DAMPINGS: Final = 8
-STEP: Final = 1e-4
 CENTRE_STEP_PX: Final = 0.05
 _OF_SOURCES: Final = ("place", "extent", "strength", "haze", "albedo", "coat")
 
@@ -154,25 +154,13 @@ class Bundle:
     def _source_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
         """Derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
         model, level = self.model(numbers), np.zeros_like(terms.p)
-        skin, ground = (terms.p, terms.q, self.x, self.y, terms.z), (level, level, self.x, self.y, level)
-        moved = []
-        for source in range(len(numbers.place)):
-            own = []
-            for axis in range(5):
-                one = np.concatenate([numbers.place[source], numbers.extent[source]])[None]
-                one[0, axis] += STEP
-                at = np.concatenate([one[:, :2], np.exp(one[:, 2:3]), one[:, 3:]], axis=1)
-                change, below = (
-                    (_one_light(at, model, part)[:, 0] - before[:, source]) / STEP
-                    for part, before in ((skin, terms.light), (ground, terms.rest))
-                )
-                less = change[:, None] - terms.ratio * below[:, None]
-                own.append(less * model.strengths[:, source] / terms.at_rest)
-            moved.append(own)
-        for own in moved:
-            yield from own[:3]
-        for own in moved:
-            yield from own[3:]
+        by_source, by_coat = light_derivatives(numbers, model, (terms.p, terms.q, self.x, self.y, terms.z))
+        source_below, coat_below = light_derivatives(numbers, model, (level, level, self.x, self.y, level))
+        for axes in (range(3), range(3, EXTENT)):
+            for source in range(len(numbers.place)):
+                for axis in axes:
+                    less = by_source[:, source, axis, None] - terms.ratio * source_below[:, source, axis, None]
+                    yield less * model.strengths[:, source] / terms.at_rest
         channels = self.intensity.shape[1]
         for channel in range(channels):
             for source in range(len(numbers.place)):
@@ -186,10 +174,8 @@ class Bundle:
             yield change
         yield self.incoming
         for number in range(len(COAT)):
-            coat = numbers.coat.copy()
-            coat[number] += STEP
-            other = self.model(replace(numbers, coat=coat))
-            yield (other.mixed(other.light(*skin)) / other.mixed(other.light(*ground)) - terms.ratio) / STEP
+            change, below = (part[..., number] @ model.strengths.T for part in (by_coat, coat_below))
+            yield (change - terms.ratio * below) / terms.at_rest
 
     def _shift_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
         """Derivatives of the intensity (N, C) by the shifts of centres."""
@@ -234,9 +220,7 @@ class Bundle:
             system, gradient, _ = self._system(numbers)
             for _ in range(DAMPINGS):
                 damped = system + damping * np.diag(np.diag(system))
-                values = numbers.packed()
-                values[free] -= np.linalg.solve(damped, gradient)
-                there = numbers.unpacked(values)
+                there = _stepped(numbers, free, damped, gradient)
                 reached = self._cost(there)
                 if reached < cost:
                     break
@@ -384,6 +368,23 @@ class _Jacobian:
             system[np.ix_(where, where)] += weighted.T @ jacobian
             gradient[where] += weighted.T @ self.error[rows, channel]
         return system, gradient
+
+
+def _stepped(numbers: Numbers, free: slice, system: Float64Array, gradient: Float64Array) -> Numbers:
+    """Return numbers after a step of normal equations, in which numbers that reach a bound stay at it."""
+    start = numbers.packed()
+    step, moves = np.zeros(len(gradient)), np.ones(len(gradient), np.bool_)
+    while True:
+        missing = gradient[moves] + system[np.ix_(moves, ~moves)] @ step[~moves]
+        step[moves] = -np.linalg.solve(system[np.ix_(moves, moves)], missing)
+        values = start.copy()
+        values[free] += step
+        there = numbers.unpacked(values)
+        bounded = moves & (there.packed()[free] != values[free])
+        if not bounded.any():
+            return there
+        step[bounded] = (there.packed() - start)[free][bounded]
+        moves &= ~bounded
 
 
 def _one_light(sources: Float64Array, model: LightModel, skin: tuple[Float64Array, ...]) -> Float64Array:

@@ -26,8 +26,8 @@ MAX_ADDED: Final = 2
 RESIDUAL_SIGMAS: Final = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Prior standard deviations of the residual field's coefficients that are tried."""
 MIN_GAIN: Final = 0.98
-"""Held-out error, relative to that before, which a model with one source more a channel must reach, and which every
-source must pay for against a model without sources."""
+"""Held-out error, relative to that before, which a model with one source more a channel or a wider residual field must
+reach, and which every source must pay for against a model without sources."""
 
 
 WIDENING: Final = 4.0
@@ -118,10 +118,12 @@ def fit_light(
 def _with_residual(
     bundle: Bundle, numbers: Numbers, stage: Literal["residual", "normals"] = "residual"
 ) -> tuple[Bundle, Numbers]:
-    """Return the fit with a residual field over fixed sources, of the prior that held-out balls prefer."""
-    fits = []
+    """Return the fit with a residual field over fixed sources, of the narrowest prior that no wider one beats."""
+    best, least = (bundle, numbers), np.inf
     for sigma in RESIDUAL_SIGMAS:
         wider = replace(bundle, residual_sigma=sigma, stage=stage)
         numbers = wider.solve(numbers)
-        fits.append((wider.held_out(numbers), wider, numbers))
-    return min(fits, key=lambda fit: fit[0])[1:]
+        held_out = wider.held_out(numbers)
+        if held_out < MIN_GAIN * least:
+            best, least = (wider, numbers), held_out
+    return best

@@ -64,3 +64,15 @@ class Numbers:
     def sources(self) -> Float64Array:
         """Sources see `LightModel`."""
         return np.concatenate([self.place[:, :2], np.exp(self.place[:, 2:]), self.extent], axis=1)
+
+    @property
+    def coat_change(self) -> Float64Array:
+        """Derivatives of `LightModel.coat`, but the camera's, by the coat's numbers: shape (8, 7)."""
+        roughness, width, tail = self.coat[1], np.exp(2.0 * self.coat[3]), np.exp(self.coat[4])
+        square = roughness**2
+        change = np.zeros((len(self.coat) + 1, len(self.coat)))
+        change[0, 0] = change[3, 2] = change[6, 5] = change[7, 6] = 1.0
+        change[1, 1] = -0.33 * roughness / (square + 0.33) ** 2
+        change[2, 1] = 0.081 * roughness / (square + 0.09) ** 2
+        change[4, 3], change[5, 4] = 2.0 * width, tail
+        return change

@@ -1,0 +1,151 @@
+"""Derivatives of the light of sources by their places and by the coat: of what `kernels.write_light` writes."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from device.surface.fields import Float64Array
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.light.kernels import GRAZING, to_camera
+from host_sync.light.model import POINTS, LightModel, source_points
+from host_sync.light.numbers import Numbers
+
+COAT_TERMS: Final = 8
+"""Numbers of `LightModel.coat` that the light depends on; the last one, the camera's, is given."""
+
+EXTENT: Final = 5
+"""Numbers of a source's place and extent."""
+
+STEP: Final = 1e-4
+
+
+def light_derivatives(
+    numbers: Numbers, model: LightModel, skin: tuple[Float64Array, ...]
+) -> tuple[Float64Array, Float64Array]:
+    """Return derivatives of the light of sources by their places and extents, (N, S, EXTENT), and by the coat."""
+    count, size = len(numbers.place), len(skin[0])
+    extents = np.concatenate([numbers.place, numbers.extent], axis=1)
+    moved, turned = np.empty((count, len(POINTS), 4, EXTENT)), np.empty((count, 3, EXTENT))
+    for number, step in enumerate(STEP * np.eye(EXTENT)):
+        ends = []
+        for one in (extents + step, extents - step):
+            sources = np.concatenate([one[:, :2], np.exp(one[:, 2:3]), one[:, 3:]], axis=1)
+            ends.append(source_points(sources, model.fall_off))
+        for there, (far, near) in zip((moved, turned), zip(*ends, strict=True), strict=True):
+            there[..., number] = (far - near) / (2.0 * STEP)
+    by_source, by_coat = np.empty((size, count, EXTENT)), np.empty((size, count, COAT_TERMS))
+    parallel_rows(
+        write_light_derivatives, (size, 64), *model.geometry, model.coat, *skin, moved, turned, by_source, by_coat
+    )
+    distance = np.linalg.norm(model.sources[:, :3], axis=1)
+    by_coat[..., 0] += np.log(distance) * model.light(*skin)
+    return by_source, by_coat @ numbers.coat_change
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_light_derivatives(
+    points: Any, axes: Any, coat: Any, p: Any, q: Any, x: Any, y: Any, z: Any, moved: Any, turned: Any,
+    by_source: Any, by_coat: Any, first: int, last: int,
+) -> None:  # fmt: skip
+    """Write derivatives of the light of each source into the rows `first` to `last` - 1.
+
+    points, axes, coat, p, q, x, y, z : see `write_light`
+    moved : derivatives of the points by K numbers of their source, shape (S, points, 4, K)
+    turned : derivatives of the axes by them, shape (S, 3, K)
+    by_source : receives derivatives by these numbers, shape (N, S, K)
+    by_coat : receives derivatives by numbers of the coat at fixed points, shape (N, S, COAT_TERMS)
+    """
+    by_point, by_axis, shine = np.empty(4), np.empty(3), np.empty(8)
+    for i in range(first, last):
+        v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
+        up = 1.0 / np.sqrt(1.0 + p[i] * p[i] + q[i] * q[i])
+        n0, n1 = -p[i] * up, -q[i] * up
+        seen = max(n0 * v0 + n1 * v1 + up * v2, GRAZING)
+        tilted = 1.0 + coat[6] * (1.0 - up)
+        for source in range(points.shape[0]):
+            by_source[i, source] = 0.0
+            by_coat[i, source] = 0.0
+            by_axis[:] = 0.0
+            a0, a1, a2 = axes[source]
+            for point in range(points.shape[1]):
+                d0, d1, d2 = points[source, point, 0] - x[i], points[source, point, 1] - y[i], points[source, point, 2]
+                d2 -= z[i]
+                square = d0 * d0 + d1 * d1 + d2 * d2
+                length = np.sqrt(square)
+                l0, l1, l2 = d0 / length, d1 / length, d2 / length
+                facing = max(a0 * l0 + a1 * l1 + a2 * l2, 0.0)
+                beamed = (1.0 - coat[7]) + coat[7] * facing
+                falling = tilted * square ** (-0.5 * coat[0])
+                power = falling * points[source, point, 3]
+                cosine = n0 * l0 + n1 * l1 + up * l2
+                between = l0 * v0 + l1 * v1 + l2 * v2
+                write_reflected(max(cosine, 0.0), seen, between, coat, shine)
+                reflected, by_lit, by_between = shine[0], shine[1] * (cosine > 0.0), shine[2]
+                turning = power * coat[7] * reflected * (facing > 0.0)
+                shining = power * beamed
+                along = -coat[0] * shining * reflected - turning * facing
+                along -= shining * (by_lit * cosine + by_between * between)
+                by_point[0] = (along * l0 + turning * a0 + shining * (by_lit * n0 + by_between * v0)) / length
+                by_point[1] = (along * l1 + turning * a1 + shining * (by_lit * n1 + by_between * v1)) / length
+                by_point[2] = (along * l2 + turning * a2 + shining * (by_lit * up + by_between * v2)) / length
+                by_point[3] = falling * beamed * reflected
+                by_axis[0] += turning * l0
+                by_axis[1] += turning * l1
+                by_axis[2] += turning * l2
+                for k in range(moved.shape[3]):
+                    for j in range(4):
+                        by_source[i, source, k] += by_point[j] * moved[source, point, j, k]
+                by_coat[i, source, 0] -= 0.5 * np.log(square) * shining * reflected
+                for j in range(1, 6):
+                    by_coat[i, source, j] += shining * shine[2 + j]
+                by_coat[i, source, 6] += (1.0 - up) / tilted * shining * reflected
+                by_coat[i, source, 7] += power * (facing - 1.0) * reflected
+            for k in range(turned.shape[2]):
+                for j in range(3):
+                    by_source[i, source, k] += by_axis[j] * turned[source, j, k]
+
+
+@njit(cache=True, error_model="numpy")
+def write_reflected(lit: Any, seen: Any, between: Any, coat: Any, out: Any) -> None:
+    """Write the reflected share of a ray, and its derivatives by `lit`, `between` and the coat's numbers 1 to 5.
+
+    lit, seen, between, coat : see `kernels.reflected`
+    """
+    even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
+    excess, largest = between - lit * seen, max(max(lit, seen), GRAZING)
+    together = max(excess, 0.0) / largest
+    steeper = -(seen + (excess / largest if lit >= largest else 0.0)) / largest if excess > 0.0 else 0.0
+    rough = lit * (even + uneven * together)
+    rough_by_lit = even + uneven * (together + lit * steeper)
+    rough_by_between = lit * uneven / largest if excess > 0.0 else 0.0
+
+    wide = np.sqrt(2.0 + 2.0 * between)
+    half = min((lit + seen) / wide, 1.0)
+    half_by_lit, half_by_between = (1.0 / wide, -half / (wide * wide)) if half < 1.0 else (0.0, 0.0)
+    ratio = 2.0 * (1.0 / narrow - 1.0) / tail
+    off = (1.0 - half * half) * ratio
+    facets = (1.0 + off) ** -tail / (np.pi * narrow)
+    by_off = -tail / (1.0 + off)
+    root_lit = np.sqrt(narrow + (1.0 - narrow) * lit * lit)
+    root_seen = np.sqrt(narrow + (1.0 - narrow) * seen * seen)
+    whole_lit, whole_seen = lit + root_lit + 1e-9, seen + root_seen + 1e-9
+    masked_seen = 2.0 * seen / whole_seen / max(4.0 * seen, GRAZING)
+    lobe = facets * masked_seen
+    shining = lobe * 2.0 * lit / whole_lit
+    shining_by_half = -2.0 * half * ratio * by_off * shining
+    unmasking = 2.0 / whole_lit - 2.0 * lit / whole_lit**2 * (1.0 + (1.0 - narrow) * lit / root_lit)
+    by_narrow = -by_off * 2.0 * (1.0 - half * half) / (narrow * narrow * tail) - 1.0 / narrow
+    by_narrow -= 0.5 * (1.0 - lit * lit) / (root_lit * whole_lit)
+    by_narrow -= 0.5 * (1.0 - seen * seen) / (root_seen * whole_seen)
+
+    out[0] = (1.0 - gloss) * rough + gloss * shining
+    out[1] = (1.0 - gloss) * rough_by_lit + gloss * (shining_by_half * half_by_lit + lobe * unmasking)
+    out[2] = (1.0 - gloss) * rough_by_between + gloss * shining_by_half * half_by_between
+    out[3] = (1.0 - gloss) * lit
+    out[4] = (1.0 - gloss) * lit * together
+    out[5] = shining - rough
+    out[6] = gloss * by_narrow * shining
+    out[7] = gloss * shining * (-np.log(1.0 + off) - by_off * off / tail)
