@@ -43,6 +43,10 @@ OUTLYING: Final = 4.0
 SHADOW_ERROR: Final = 0.3
 """Standard uncertainty of slopes that the inverse map reads in shadow, where the model predicts shadow rightly."""
 
+MAP_REACH: Final = 0.8
+"""Slope, relative to the steepest of the balls, from which the inverse map's slopes stay behind those of the skin: from
+there to the steepest their standard uncertainty grows to the slope itself."""
+
 REST_INFORMATION: Final = 100.0
 """Weight of a slope of skin at rest in the integration, relative to that of others."""
 
@@ -172,6 +176,9 @@ class Cells:
         square = np.square(found.slope).sum(axis=1)
         variance = self.prior_sigma**2 + doubt**2 * np.square(found.unseen).sum(axis=1)
         variance += np.square(SHADOW_ERROR * self.believed * found.shadow)
+        if len(self.model.sources):
+            beyond = np.maximum(np.sqrt(square) - MAP_REACH * self.model.steepest, 0.0)
+            variance += np.square(beyond / (1.0 - MAP_REACH))
         if self.elevation is not None:
             gain = self.elevation.steeper(found.z_px.ravel(), square.astype(np.float32)).astype(np.float64)
             variance += square * (doubt * gain) ** 2

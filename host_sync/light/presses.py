@@ -18,7 +18,7 @@ from host_sync.integration.datum import cell_means
 from host_sync.integration.integrate import integrate
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
-from host_sync.light.cells import Cells, CellSlopes
+from host_sync.light.cells import MAP_REACH, Cells, CellSlopes
 from host_sync.light.fit import FittedLight, fit_light
 from host_sync.light.interreflection import incoming_light
 from host_sync.light.model import LightModel
@@ -128,7 +128,8 @@ def confirmed_fraction(
     """Return the fraction of the light model's changes of slopes that leaves the least error on held-out balls, 0 to 1.
 
     Map and model are two estimates of the same slopes, and the fraction is their weight by least squares (Wolpert,
-    "Stacked generalization", Neural Networks 5, 1992); errors of a centre do not count. A lone ball confirms nothing.
+    "Stacked generalization", Neural Networks 5, 1992), up to slopes that the map reaches; errors of a centre do not
+    count. A lone ball confirms nothing.
 
     maps : without every K-th ball, from each of the first K on; or one of all balls, by which the fraction is smaller
     """
@@ -139,7 +140,8 @@ def confirmed_fraction(
         for ball in balls:
             core = replace(ball, contact_radius_px=CORE_SHARE * ball.contact_radius_px)
             row, column = pixels_inside(core, image.shape)
-            some = np.flatnonzero(image.faithful[row, column])
+            steep = np.hypot(*sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
+            some = np.flatnonzero(image.faithful[row, column] & (steep < MAP_REACH * light.model.steepest))
             some = some[:: max(1, len(some) // STACKED)]
             row, column = row[some], column[some]
             inverse, places = maps[number % len(maps)], (column.astype(np.float32), row.astype(np.float32))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Final
 
@@ -18,6 +18,7 @@ from host_sync.light.bent_cells import slopes_hidden_by_means
 from host_sync.light.cell_correction import CellCorrection, SlopePair
 from host_sync.light.cells import SHADOW_WEIGHT, Cells, CellSlopes
 from host_sync.light.fit import FittedLight
+from host_sync.light.model import LightModel
 from host_sync.light.raised_field import RaisedField, intensity_changes, solve_raised
 from host_sync.uncertainty.calibration_uncertainty import jackknifed
 from host_sync.uncertainty.elevation import ElevationCorrection
@@ -122,7 +123,21 @@ def _deviations(cells: Cells, found: CellSlopes, light: FittedLight, raised: Rai
         light.confirmed * jackknifed(part)
         for part in moves([shown - model.intensity(slope, places, incoming) for model in light.folds])
     )
-    if raised is None:
+    beside = list(_unexplained(light.model, slope)) if light.has_sources else []
+    if raised is not None:
+        beside += [-design @ deviation for deviation in raised.deviations]
+    if not beside:
         return p, q
-    risen = moves([-design @ deviation for deviation in raised.deviations])
-    return np.concatenate([p, risen[0]]), np.concatenate([q, risen[1]])
+    more = moves(beside)
+    return np.concatenate([p, more[0]]), np.concatenate([q, more[1]])
+
+
+def _unexplained(model: LightModel, slope: Float64Array) -> Iterator[Float64Array]:
+    """Return for each channel the intensity (N, C) that sources did not explain of balls, in proportion to the slope.
+
+    The residual field explains it of balls; skin of another shape may differ by as much.
+    """
+    sigma = np.sqrt(np.maximum(model.source_sigma**2 - model.sigma**2, 0.0))
+    steep = np.linalg.norm(slope, axis=1) / (np.sqrt(0.5) * model.steepest)
+    for channel in np.eye(len(sigma)):
+        yield steep[:, None] * sigma * channel

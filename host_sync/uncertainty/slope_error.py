@@ -107,8 +107,9 @@ def measure_slope_error(
     bands = _by_band(errors)
     if over_cells is not None:
         means = over_cells.means_of(presses)
-        errors = list(_ball_errors(means, lambda _, ball: over_cells.reads[ball]))
-        others = list(_ball_errors(means, lambda _, ball: over_cells.without[ball]))
+        rim_px = 0.5 * over_cells.size_px
+        errors = list(_ball_errors(means, lambda _, ball: over_cells.reads[ball], rim_px))
+        others = list(_ball_errors(means, lambda _, ball: over_cells.without[ball], rim_px))
         bands = _with_patches_of(bands, _by_band(others))
     sums = [_height_errors(error) for error in errors]
     inflation = held_out_inflation(training, fit)
@@ -259,10 +260,13 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
     return float(np.clip(variance / max(per_reach, 1e-12), SHORTEST_REACH_PX, longest))
 
 
-def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes]) -> Iterator[_BallError]:
+def _ball_errors(
+    presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes], rim_px: float = 0.0
+) -> Iterator[_BallError]:
     """The slope error of each ball that shows enough faithful pixels.
 
     reader : of an image and the number of a ball among all
+    rim_px : width of the rim whose means reach beyond the contact
     """
     number = count()
     for image, balls in presses:
@@ -270,7 +274,8 @@ def _ball_errors(presses: Pressed, reader: Callable[[NormalizedImage, int], Read
             reads = reader(image, next(number))
             window = _window(ball, image.shape)
             row, column = np.mgrid[window].astype(np.float32)
-            inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < ball.contact_radius_px**2
+            reach_px = max(ball.contact_radius_px - rim_px, 0.0)
+            inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 < reach_px**2
             inside &= image.faithful_at(window)
             if inside.sum() < MIN_PIXELS:
                 continue
