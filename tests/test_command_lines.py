@@ -15,8 +15,8 @@ from cyclopts import App, CycloptsError
 from each_case import each_case
 from typed_commands import PROGRAMS, parse, split
 
-from device.cli.commands import CALIBRATIONS
-from device.cli.commands import COMMANDS as OF_THE_HANDHELD
+from device.cli.main import CALIBRATIONS
+from device.cli.main import COMMANDS as OF_THE_HANDHELD
 from device.command_line import Command
 from host_sync.cli.commands import COMMANDS as OF_THE_WORKSTATION
 

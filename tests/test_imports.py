@@ -22,7 +22,6 @@ PORTABLE_ROOMS = (
     "device.pairing",
     "device.errors",
     "device.shutdown",
-    "device.early_stop",
     "device.command_line",
 )
 PORTABLE_LIBRARIES = {"numpy", "scipy", "cv2", "msgspec", "tifffile", "imagecodecs", "cyclopts", "filelock"}

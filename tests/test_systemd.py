@@ -12,7 +12,7 @@ import pytest
 from console_font import SCREEN_FONTS
 from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
-from device.cli.commands import COMMANDS
+from device.cli.main import COMMANDS
 from device.cli.service import BROKEN_WAIT_S
 
 PROGRAM = "/usr/local/bin/retroscan"

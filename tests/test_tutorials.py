@@ -19,7 +19,7 @@ from pressed_frames import APEX_PX, PLACES
 from typed_commands import PROGRAMS, split
 
 from device.balls.sphere import Ball
-from device.cli import headless, screens
+from device.cli import instrument_commands, screens
 from device.surface.fields import Float64Array
 from device.tui.screens.app import RetroscanApp
 from hal import board_profile
@@ -78,7 +78,7 @@ def newcomer(tmp_path: Path, small_board: Path, monkeypatch: pytest.MonkeyPatch)
             assert app.screen
             app.exit(return_code=0)
 
-    original = headless.run_headless
+    original = instrument_commands.run_headless
 
     def interrupted(*arguments: Any) -> None:
         def go_on() -> bool:
@@ -92,7 +92,7 @@ def newcomer(tmp_path: Path, small_board: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(uvicorn.Server, "run", served)
     monkeypatch.setattr(screens, "require_terminal", lambda: None)
     monkeypatch.setattr(RetroscanApp, "run_async", shown)
-    monkeypatch.setattr(headless, "run_headless", interrupted)
+    monkeypatch.setattr(instrument_commands, "run_headless", interrupted)
     monkeypatch.setattr(demo, "_retroscan", in_process)
     return tmp_path
 

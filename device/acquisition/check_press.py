@@ -18,8 +18,7 @@ from device.errors import DeviceError
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.quality.verdict import Evidence
-from device.quick_look.ball_bias import BallBias, BallReading
-from device.quick_look.check_measure import CheckNotMeasured, measure_standard, read_ball
+from device.quick_look.check_measure import BallBias, BallReading, CheckNotMeasured, measure_standard, read_ball
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
 from device.store.checks import CORRECTED_SHARE, CheckMeasure
 from hal.frame import RawFrame

@@ -9,8 +9,7 @@ import msgspec
 
 from device.acquisition.capture import CaptureSettings
 from device.bundles.fingerprint import SettingsRecord
-from device.store.choices import BALANCE, BalanceRecord
-from device.store.gels import mounted_gel
+from device.store.choices import BALANCE, BalanceRecord, mounted_gel
 from hal.board_profile import BoardProfile, GelConfig
 from hal.hardware import Hardware
 

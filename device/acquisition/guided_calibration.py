@@ -17,13 +17,12 @@ from device.calibration.acceptance import Check, check_fit, fit_checks
 from device.calibration.coverage import Coverage, measure_coverage
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.calibration.limits import MIN_BALLS
-from device.calibration.measured_radius import MeasuredRadii, measure_radii, wrong_by_shadow
-from device.calibration.terminator import shadow_radii_mm
+from device.calibration.measured_radius import MeasuredRadii, measure_radii, shadow_radii_mm, wrong_by_shadow
 from device.errors import CalibrationError
 from device.imaging.exposure import Brightness
 from device.imaging.flat_field import LinearFrame, bin_bayer, check_exposed, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap
-from device.quality.reference_check import MAX_CHANGED, changed_shape, reference_fault
+from device.quality.untouched import MAX_CHANGED, changed_shape, reference_fault
 from device.surface.fields import Float32Array
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame

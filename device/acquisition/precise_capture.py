@@ -16,17 +16,18 @@ from device.acquisition.capture import (
     check_frame,
     retry_with_restart,
 )
-from device.acquisition.frame_mean import (
+from device.acquisition.movie import (
     MAX_CHANGE,
     MAX_FRAMES,
     FrameMean,
+    Movie,
+    Watch,
     brightest_light,
+    record_movie,
     small_light,
     smoothed,
 )
-from device.acquisition.movie import Movie, Watch, record_movie
-from device.bundles.movie import MAX_MOVIE_FRAMES
-from device.bundles.scan import CaptureMode, ExposuresRecord, VerdictRecord
+from device.bundles.scan import MAX_MOVIE_FRAMES, CaptureMode, ExposuresRecord, VerdictRecord
 from device.errors import CaptureModeRefused
 from device.guidance.guide import PressMeasure, change
 from device.imaging.ambient import ambient_fraction

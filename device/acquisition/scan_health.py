@@ -17,7 +17,7 @@ from device.quality.thresholds import FLAT_RESIDUAL_UM, LIGHT_CONTACT, LIGHT_DRI
 from device.quality.untouched import LightDriftMonitor, ReferenceModel, UntouchedRegion, gel_defects
 from device.quality.verdict import InstrumentContext
 from device.quick_look.solver import QuickLookModel, quick_look
-from device.store.gels import count_gel_press
+from device.store.choices import count_gel_press
 from device.surface.fields import Float32Array, MaskArray
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame

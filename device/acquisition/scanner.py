@@ -38,8 +38,7 @@ from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.npz import read_model
 from device.quality.verdict import Evidence
-from device.quick_look.files import write_quick_look
-from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
+from device.quick_look.solver import QuickLook, QuickLookModel, quick_look, write_quick_look
 from device.store.checks import judged_check, read_checks, write_check
 from device.store.store import BundleStore
 from hal.frame import RawFrame

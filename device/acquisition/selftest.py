@@ -1,10 +1,14 @@
-"""The self-test: every part in order, each light as the camera sees it, and a sentence that names the faulty part."""
+"""The self-test: every part in order, each light as the camera sees it, and a sentence that names the faulty part.
+
+A check that the root file system is as read-only as the kernel's command line asks.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final, Literal
 
 from device.acquisition.capture import (
@@ -17,7 +21,6 @@ from device.acquisition.capture import (
 )
 from device.errors import CalibrationError, DeviceError
 from device.imaging.exposure import BRIGHTEST_PERCENTILE, Levels, channel_levels
-from device.io.root_overlay import root_fault
 from device.quality.thresholds import LOW_BATTERY
 from hal.board_profile import LightConfig
 from hal.errors import HalError
@@ -237,3 +240,23 @@ def _push(hardware: Hardware) -> Finding:
         sentence = f"not pushed within {PUSH_TIMEOUT_S:g} s, or not wired: check button.line"
         return Finding("button push", "failed", sentence)
     return Finding("button push", "ok", f"pushed for {press.held_s:.2f} s")
+
+
+PROC = Path("/proc")
+WRITABLE: Final = (
+    "the root file system is writable although it is meant to be read-only: run install.sh --read-only again"
+)
+"""The initramfs had no overlay and went on without it: each power cut then meets files that are being written."""
+
+
+def root_fault() -> str | None:
+    """Return a sentence when an overlay was asked for and `/` is none, else None."""
+    try:
+        asked = (PROC / "cmdline").read_text(encoding="utf-8", errors="replace").split()
+        mounts = (PROC / "self" / "mounts").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:  # no Linux
+        return None
+    if not any(word.startswith("overlayroot=") and word != "overlayroot=disabled" for word in asked):
+        return None
+    kinds = [fields[2] for line in mounts if len(fields := line.split()) > 2 and fields[1] == "/"]
+    return None if kinds and kinds[-1] == "overlay" else WRITABLE

@@ -1,4 +1,7 @@
-"""The scan bundle: one press of the button, one directory, immutable once published."""
+"""The scan bundle: one press of the button, one directory, immutable once published.
+
+Record of the movie of a press, in the bundle of its scan.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,16 @@ import msgspec
 from device.bundles.bundle import Bundle, check_files, read_record
 from device.bundles.check import CheckRecord
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
-from device.bundles.movie import MovieRecord
 from device.bundles.raw_frame import read_bundle_frame
 from device.bundles.record import (
     BundleId,
+    Count,
     Figure,
     Figures,
     FileName,
     Files,
     Identity,
+    NotNegative,
     Positive,
     Record,
     ShortText,
@@ -241,3 +245,39 @@ def read_scan(directory: Path) -> ScanBundle:
         No scan there, an unknown version, a damaged manifest, or a folder not named by the scan's id.
     """
     return ScanBundle(directory, read_record(directory, SCAN_MANIFEST, decode_scan))
+
+
+MAX_MOVIE_FRAMES: Final = 200
+
+
+class MovieFrameRecord(Record, frozen=True):
+    """One frame of a movie.
+
+    file : the raw frame, of the scan's size divided by the binning
+    at_ms : after the first one's exposure began
+    contact_fraction, depth_um : fraction of the field that is in contact, and how far the skin is raised, as the guide
+        measures them; None where it cannot
+    """
+
+    file: FileName
+    at_ms: NotNegative
+    contact_fraction: Figure | None = None
+    depth_um: Figure | None = None
+
+
+class MovieRecord(Record, frozen=True):
+    """The movie of a press.
+
+    binning : pixels of one colour that were taken together, in each direction
+    best : number of the frame that is, averaged with later ones that did not move, the scan's own raw frame
+    frames : in order of time
+    """
+
+    binning: Annotated[int, msgspec.Meta(ge=2, le=2)]
+    best: Count
+    frames: Annotated[tuple[MovieFrameRecord, ...], msgspec.Meta(min_length=1, max_length=MAX_MOVIE_FRAMES)]
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the frames' files."""
+        return tuple(frame.file for frame in self.frames)

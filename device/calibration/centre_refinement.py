@@ -2,14 +2,18 @@
 
 Ball centres come from images and are off by a pixel or so; each is moved to where the map learned from the *other*
 balls puts it. Moving centres to fit a model of the same ball would only shrink the residual.
+
+Calls that do not depend on each other, on all cores: numpy works outside the interpreter's lock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +21,6 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.candidates import RegressorFit
 from device.calibration.cross_validation import angle_between_deg, robust_weight
-from device.calibration.parallel_calls import results_of
 from device.surface.fields import Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic
 
@@ -182,3 +185,12 @@ def _outer(balls: Sequence[Ball]) -> MaskArray:
         angle = np.sort(np.arctan2(way[:, 1], way[:, 0]))
         open_side[number] = np.diff(np.append(angle, angle[0] + 2.0 * np.pi)).max() >= OPEN_SIDE
     return open_side
+
+
+Result = TypeVar("Result")
+
+
+def results_of(calls: Iterable[Callable[[], Result]]) -> list[Result]:
+    """Results in the calls' order, whichever ends first."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return [job.result() for job in [pool.submit(call) for call in calls]]

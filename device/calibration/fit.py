@@ -23,11 +23,9 @@ from device.calibration.candidates import (
     RegressorForm,
     fit_regressor,
 )
-from device.calibration.centre_refinement import Learners, Refined, held_out_slopes, refine, true_slopes
+from device.calibration.centre_refinement import Learners, Refined, held_out_slopes, refine, results_of, true_slopes
 from device.calibration.cross_validation import FOLDS, angle_between_deg
-from device.calibration.held_out_readings import HeldOutReadings
-from device.calibration.parallel_calls import results_of
-from device.calibration.slope_gain import SlopeGain, slope_gains
+from device.calibration.slope_gain import HeldOutReadings, SlopeGain, slope_gains
 from device.errors import CalibrationError
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity
 from device.inverse_map.illumination import IlluminationMap

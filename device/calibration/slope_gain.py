@@ -3,6 +3,8 @@
 The gain of a band is the slope of the line through (true, read) of its pixels. Noise of the reading does not flatten a
 line on the truth, but an error of the truth would: so each ball's true slopes are first moved by the mean by which its
 own readings differ, which is what its centre is off. The standard uncertainty is the jackknife's over balls.
+
+Readings of balls that a map was not trained on: the material of every statement about how true it is.
 """
 
 from __future__ import annotations
@@ -15,8 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.calibration.held_out_readings import HeldOutReadings
-from device.surface.fields import Float64Array
+from device.surface.fields import Float64Array, MaskArray
 
 BAND_EDGES_DEG: Final = (0.0, 3.0, 8.0, 15.0, 30.0)
 MIN_PIXELS: Final = 50
@@ -87,3 +88,29 @@ def _sums_of(slope: Float64Array, truth: Float64Array) -> tuple[float, float]:
 
 def _ratios(sums: Iterable[Float64Array]) -> Float64Array:
     return np.array([part[0] / max(part[1], 1e-12) for part in sums])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutReadings:
+    """Pixels of kept balls, each read by the map trained on the other folds; all share their first axis (N).
+
+    slope, truth : float64 arrays of shape (N, 2), as read and as the sphere at its refined centre has it
+    place : float64 array of shape (N, 2), position variables
+    ball : int array of shape (N,), number of the ball in the fit
+    radius_px : float64 array of shape (balls of the fit,), radii of the spheres
+    """
+
+    slope: Float64Array
+    truth: Float64Array
+    place: Float64Array
+    ball: NDArray[np.intp]
+    radius_px: Float64Array
+
+    @property
+    def tilt_deg(self) -> Float64Array:
+        """Tilt of the true surface, degrees, shape (N,)."""
+        return np.asarray(np.degrees(np.arctan(np.linalg.norm(self.truth, axis=1))))
+
+    def select(self, rows: MaskArray) -> HeldOutReadings:
+        """Those of some pixels, bool array of shape (N,)."""
+        return HeldOutReadings(self.slope[rows], self.truth[rows], self.place[rows], self.ball[rows], self.radius_px)

@@ -8,7 +8,7 @@ from device.acquisition.gel_profile import profile_with_mounted_gel
 from device.cli.console import Given, Options, open_store, print_line
 from device.command_line import Folder
 from device.errors import NoCalibration
-from device.store.gels import known_gel, known_gels, make_gel, mount_gel, mounted_gel
+from device.store.choices import known_gel, known_gels, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
 from device.store.registry_file import SHORT
 from device.store.store import BundleStore

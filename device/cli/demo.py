@@ -10,7 +10,7 @@ from device.cli.console import GivenSimulated, print_line
 from device.cli.screens import require_terminal, show_screens
 from device.command_line import Folder
 from device.errors import NoCalibration
-from device.instrument.calibration_ball import BALL_RADIUS_MM
+from device.instrument.calibration_run import BALL_RADIUS_MM
 from device.instrument.demo_faults import DemoDisk, DemoFaults
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore, default_store

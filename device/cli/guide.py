@@ -1,20 +1,29 @@
-"""`retroscan guide`: back to the spot of an earlier scan, touch by touch; nothing is stored."""
+"""`retroscan guide`: back to the spot of an earlier scan, touch by touch; nothing is stored.
+
+`retroscan cover`: an area larger than the field, press by press; every press is a scan for `retrosync mosaic`.
+
+`retroscan focus`: how sharp the camera sees, frame by frame, while a person turns the lens.
+"""
 
 from __future__ import annotations
 
 from itertools import count
-from typing import Annotated
+from typing import Annotated, Final
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
-from device.acquisition.capture import capture
+from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.gel_profile import with_active_gel
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
 from device.cli.console import Count, Given, Text, open_store, print_line, print_note, store_folder
+from device.cli.instrument_commands import Labels, annotations_of, cue_lift
 from device.command_line import print_json
 from device.errors import RecordError
+from device.guidance.cover_task import FIRST_PRESS, MAX_AREA_MM, CoverTask, Stand
 from device.guidance.placement import Placement, Target, on_the_spot, placed, sentence, way_back
+from device.imaging.frame_measures import FocusMeter
 from device.instrument.history import read_quick_look
 from device.store.active import read_active
 from hal.board_profile import load_board_profile
@@ -72,3 +81,91 @@ def guide(
             if number == touches:
                 return NOT_REACHED
     return NOT_REACHED
+
+
+NOT_COVERED = 3
+"""Exit code after the last press allowed, with a part of the area missing."""
+
+MAP_COLUMNS: Final = 60
+
+
+def cover(
+    *,
+    width_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
+    height_mm: Annotated[float, Parameter(validator=Number(gt=0, lte=MAX_AREA_MM))],
+    presses: Count | None = None,
+    pressed: Annotated[str, Parameter(name="--object")] = "pebbles",
+    labels: Labels | None = None,
+    json: bool = False,
+    options: Given,
+) -> int:
+    """Scan an area larger than the field, press by press, with the way to the next press.
+
+    The first press is the area's upper left corner.
+
+    Parameters
+    ----------
+    width_mm
+        Width of the area, in the directions of the first press's live view.
+    height_mm
+        Height of the area, 300 mm at most as its width.
+    presses
+        End after that many presses.
+    pressed
+        What the twin's operator presses (ignored on a real board).
+    json
+        Print one JSON document per press instead of sentences.
+    """
+    read_active(store_folder(options))  # a store without a calibration is refused before anything is created
+    task = CoverTask(width_mm, height_mm)
+    with open_exclusive(load_board_profile(options.board), store=store_folder(options)) as hardware:
+        store = open_store(options, hardware.clock)
+        scanner = Scanner(with_active_gel(hardware, store.root), store)
+        scanner.measure_lights()
+        say = print_note if json else print_line
+        say(f"{FIRST_PRESS} Ctrl-C ends; scans are kept.")
+        for number in count(1):
+            scanner.check_room("single")
+            hardware.operator.ask(PressObject(pressed, task.hand_way))
+            hardware.button.wait_for_push(None)
+            outcome = scanner.scan(annotations_of(labels), lambda: cue_lift(hardware, say))
+            hardware.operator.ask(LiftOff())
+            verdict, scan_id = outcome.bundle.record.verdict, outcome.bundle.scan_id
+            task.add(None if verdict.level == "retake" else read_quick_look(store, scan_id))
+            words, drawn = task.sentence(), task.map()
+            if json:
+                placed = task.stand if isinstance(task.stand, Stand) else None
+                said = {"scan": scan_id, "verdict": verdict, "stand": placed, "covered": task.share, "sentence": words}
+                print_json(said)
+            else:
+                print_line(f"{verdict.level}: {verdict.reason} ({scan_id})")
+                print_line("\n".join([*(drawn.lines(MAP_COLUMNS) if drawn else ()), words]))
+            if task.is_done:
+                return 0
+            if number == presses:
+                return NOT_COVERED
+    return NOT_COVERED
+
+
+BAR: Final = 40
+
+
+def focus(*, frames: Count | None = None, options: Given) -> int:
+    """Show how sharp the lens is set, until Ctrl-C.
+
+    Parameters
+    ----------
+    frames
+        End after that many frames.
+    """
+    print_line("Lay a coin or print on the gel and turn the lens's focus ring. Ctrl-C ends.")
+    meter = FocusMeter()
+    with open_exclusive(load_board_profile(options.board)) as hardware:
+        plan = CaptureSettings.of_board(hardware)
+        for number in count(1):
+            reading = meter.read(capture(hardware, plan))
+            bar = "#" * round(BAR * reading.fraction)
+            print_line(f"{reading.figure:8.2f}  best {reading.best:8.2f}  {bar:<{BAR}}  {reading.advice}")
+            if number == frames:
+                return 0
+    return 0

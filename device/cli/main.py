@@ -1,6 +1,10 @@
 """`retroscan`: the handheld's command line.
 
 Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.
+
+Choice of the board profile: `--board`, else the environment, else what the installation wrote.
+
+Every command of `retroscan` with where its function is and examples; nothing of the instrument is imported here.
 """
 
 from __future__ import annotations
@@ -9,16 +13,17 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Final
 
 from cyclopts import App, CycloptsError, Parameter
 
-from device.cli.board import BOARD_FILE, DEFAULTS_FILE, VARIABLE, chosen_board
-from device.cli.commands import CALIBRATIONS, COMMANDS, OLD_COMMANDS
 from device.cli.console import Given, Options, print_error
 from device.command_line import (
     BAD_ARGUMENTS,
+    Command,
     Folder,
+    NewWords,
     add_commands,
     examples_text,
     in_new_words,
@@ -31,6 +36,195 @@ from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
 from device.shutdown import signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.profile_files import profile_names
+
+OLD_COMMANDS: Final = {
+    "watch": NewWords(("run",)),
+    "shelf": NewWords(("calibrations",)),
+    "receive": NewWords(("calibrations", "import-inbox")),
+    "import-inbox": NewWords(("calibrations", "import-inbox")),
+}
+"""Commands of the previous release, still accepted but not listed."""
+
+COMMANDS: Final = (
+    Command(
+        "tui",
+        "device.cli.screens:run_screens",
+        "Show the screens on this terminal (the default command).",
+        ("retroscan --board twin", "retroscan --board twin tui"),
+        listed=False,
+    ),
+    Command(
+        "demo",
+        "device.cli.demo:demo",
+        "Show the screens over a simulated handheld; key f switches its faults.",
+        ("retroscan demo",),
+    ),
+    Command(
+        "calibrate",
+        "device.cli.instrument_commands:calibrate_guided",
+        "Calibrate, guided: a reference, then ball presses all over the field.",
+        ("retroscan calibrate", "retroscan calibrate --auto-exposure --ball-radius-mm 2.5"),
+    ),
+    Command(
+        "scan",
+        "device.cli.instrument_commands:scan_once",
+        "Wait for one press of the button and scan.",
+        (
+            "retroscan scan --job J-17 --part housing-3",
+            "retroscan scan --capture average",
+            "retroscan --board twin scan --object coin --json",
+        ),
+    ),
+    Command(
+        "run",
+        "device.cli.instrument_commands:run",
+        "Scan at every press of the button, without a screen; held for six seconds it powers off.",
+        ("retroscan run", "retroscan run --operator Ada --ball-radius-mm 3"),
+    ),
+    Command(
+        "focus",
+        "device.cli.guide:focus",
+        "Show how sharp the lens is set, until Ctrl-C.",
+        ("retroscan focus", "retroscan focus --frames 100"),
+    ),
+    Command(
+        "guide",
+        "device.cli.guide:guide",
+        "Guide back to the spot of an earlier scan, touch by touch.",
+        ("retroscan guide --to rg60bb5d63-000007-scan", "retroscan guide --to rg60bb5d63-000007-scan --json"),
+    ),
+    Command(
+        "cover",
+        "device.cli.guide:cover",
+        "Scan an area larger than the field, press by press, with the way to the next press.",
+        ("retroscan cover --width-mm 40 --height-mm 30", "retroscan cover --width-mm 40 --height-mm 30 --part lid"),
+    ),
+    Command(
+        "pair",
+        "device.cli.pairing:pair",
+        "Let a workstation pair within two minutes; it shows the same code as this device.",
+        ("retroscan pair", "retroscan pair --card /media/card"),
+    ),
+    Command(
+        "gel",
+        "device.cli.calibrations:show_or_mount_gel",
+        "Show or change the mounted gel; its calibration becomes active.",
+        ("retroscan gel", "retroscan gel gel-4 --slab-mm 2.5"),
+    ),
+    Command(
+        "identity",
+        "device.cli.service:identity",
+        "Print this device's id, created on first use.",
+        ("retroscan identity",),
+        listed=False,
+    ),
+    Command(
+        "guard-battery",
+        "device.cli.service:guard_battery",
+        "Power the device off once the battery is nearly empty.",
+        ("retroscan guard-battery", "retroscan guard-battery --check"),
+        listed=False,
+    ),
+    Command(
+        "status",
+        "device.cli.listing:show_status",
+        "Show calibration, gel and room for scans; opens no hardware.",
+        ("retroscan status", "retroscan status --json"),
+    ),
+    Command(
+        "list",
+        "device.cli.listing:list_scans",
+        "List the scans on this device, newest first.",
+        ("retroscan list", "retroscan list --json"),
+    ),
+    Command(
+        "selftest",
+        "device.cli.instrument_commands:check_parts",
+        "Test every part and name the faulty one.",
+        ("retroscan selftest --push", "retroscan --board twin selftest --json"),
+    ),
+    Command(
+        "lights-off",
+        "device.cli.instrument_commands:lights_off",
+        "Switch all lights off.",
+        ("retroscan lights-off",),
+    ),
+)
+
+CALIBRATIONS: Final = (
+    Command(
+        "use",
+        "device.cli.calibrations:use_calibration",
+        "Activate a calibration.",
+        ("retroscan calibrations use rg60bb5d63-000001-cal",),
+    ),
+    Command(
+        "rollback",
+        "device.cli.calibrations:roll_back",
+        "Activate the previous version.",
+        ("retroscan calibrations rollback",),
+    ),
+    Command(
+        "import",
+        "device.cli.calibrations:import_calibration",
+        "Copy a calibration folder into the store.",
+        ("retroscan calibrations import /media/card/rg60bb5d63-000001-cal --use",),
+    ),
+    Command(
+        "export",
+        "device.cli.calibrations:export_calibration",
+        "Copy a calibration into a folder.",
+        ("retroscan calibrations export rg60bb5d63-000001-cal /media/card",),
+    ),
+    Command(
+        "import-inbox",
+        "device.cli.pairing:import_pushed",
+        "Import the calibrations that a workstation pushed.",
+        ("retroscan calibrations import-inbox", "retroscan calibrations import-inbox --activate"),
+    ),
+)
+"""Actions of `retroscan calibrations`."""
+
+
+VARIABLE: Final = "RETROSCAN_BOARD"
+BOARD_FILE: Final = Path("/etc/retrograph/board")
+DEFAULTS_FILE: Final = Path("/etc/default/retroscan")
+"""One line with a name or path; and the environment file of the services, which `board/install.sh` writes."""
+
+
+def chosen_board(given: str | None, board_file: Path = BOARD_FILE, defaults_file: Path = DEFAULTS_FILE) -> str:
+    """The board profile's name or path.
+
+    Raises
+    ------
+    BoardProfileError
+        None is named anywhere.
+    """
+    named = given or os.environ.get(VARIABLE) or _first_line(board_file) or _default(defaults_file)
+    if named:
+        return named
+    raise BoardProfileError(
+        f"no board is named: give --board NAME, set {VARIABLE}, or write the name into {board_file}; names are "
+        f"{', '.join(profile_names())}, or a .toml file"
+    )
+
+
+def _first_line(path: Path) -> str:
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return lines[0].strip()
+
+
+def _default(path: Path) -> str:
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    values = [line.split("=", 1)[1].strip() for line in lines if line.startswith(f"{VARIABLE}=")]
+    return values[-1] if values else ""
+
 
 HARDWARE: Final = 3
 SIMULATED_BOARD: Final = "twin"

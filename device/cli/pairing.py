@@ -9,10 +9,16 @@ from typing import Final
 from device.cli.console import Given, Port, open_store, print_line
 from device.command_line import Folder
 from device.errors import PairingRefused
-from device.pairing.card import leave_device_card, take_host_cards
-from device.pairing.exchange import PAIRING_PORT
-from device.pairing_service.authorized_keys import SSHD_HOST_KEY, authorize
-from device.pairing_service.service import OFFLOAD_USER, PairingSetup, describe_code, how_to_call, open_pairing_window
+from device.pairing.exchange import PAIRING_PORT, leave_device_card, take_host_cards
+from device.pairing_service.service import (
+    OFFLOAD_USER,
+    SSHD_HOST_KEY,
+    PairingSetup,
+    authorize,
+    describe_code,
+    how_to_call,
+    open_pairing_window,
+)
 from device.pairing_service.window import PairingWindow
 from device.store.inbox import InboxItem
 from device.store.store import BundleStore

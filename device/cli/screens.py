@@ -1,4 +1,10 @@
-"""`retroscan` and `retroscan tui`: the screens on this terminal. Only this command needs textual."""
+"""`retroscan` and `retroscan tui`: the screens on this terminal. Only this command needs textual.
+
+Output to a terminal that may vanish.
+
+textual writes on a thread of its own, which an error of the terminal ends; its queue then fills up, and the program
+waits for it for ever, deaf to signals. So an error is not raised: it is reported once, and later output is dropped.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +12,20 @@ import asyncio
 import os
 import signal
 import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event as Flag
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final, Self, TextIO
 
 from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
 from device.acquisition.sd_notify import SdNotify
 from device.cli.console import Given, open_store, store_folder
 from device.cli.service import ServiceReport
-from device.cli.terminal_output import watched_terminal
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
 from device.tui.drawing.cells import colour_depth
@@ -32,6 +39,7 @@ from hal.hardware import Hardware
 if TYPE_CHECKING:
     from device.instrument.demo_faults import DemoFaults
     from device.tui.screens.app import RetroscanApp
+
 
 POWER_OFF_FILE: Final = "poweroff"
 """File in the service's folder that asks the system to switch the machine off; a systemd path unit watches for it."""
@@ -164,3 +172,66 @@ def power_off(service_folder: Path) -> None:
             f"{service_folder}: cannot ask this machine to switch off ({error.strerror}); all scans are stored and the "
             "lights are off: switch it off by hand"
         ) from error
+
+
+class TerminalOutput:
+    """A terminal's stream whose errors are reported once instead of being raised.
+
+    Parameters
+    ----------
+    stream : of the terminal
+    on_lost : called once, on whichever thread writes
+    """
+
+    def __init__(self, stream: TextIO, on_lost: Callable[[], object]) -> None:
+        self._stream = stream
+        self._on_lost = on_lost
+        self._is_lost = False
+
+    def write(self, text: str) -> int:
+        """Write, or drop the text if the terminal is gone; returns its length."""
+        if not self._is_lost:
+            try:
+                self._stream.write(text)
+            except OSError:
+                self._lose()
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, unless the terminal is gone."""
+        if not self._is_lost:
+            try:
+                self._stream.flush()
+            except OSError:
+                self._lose()
+
+    def isatty(self) -> bool:
+        """Return whether the stream is a terminal."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """The stream's file descriptor."""
+        return self._stream.fileno()
+
+    @property
+    def encoding(self) -> str:
+        """Of the stream."""
+        return self._stream.encoding
+
+    def _lose(self) -> None:
+        self._is_lost = True
+        self._on_lost()
+
+
+@contextmanager
+def watched_terminal(on_lost: Callable[[], object]) -> Iterator[None]:
+    """Context in which textual's terminal, the process's own standard error, is a `TerminalOutput`."""
+    before = sys.__stderr__
+    if before is None:
+        yield
+        return
+    sys.__stderr__ = TerminalOutput(before, on_lost)  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        sys.__stderr__ = before  # type: ignore[misc]

@@ -1,4 +1,10 @@
-"""The task to cover an area: what each press adds, as a map, and as a sentence with the way to the next press."""
+"""The task to cover an area: what each press adds, as a map, and as a sentence with the way to the next press.
+
+Covering an area press by press: what is covered, and the way to the next press, which must overlap an earlier one.
+
+The first press stands at the area's upper left corner and gives the directions. Every further press is placed against
+the earlier ones (`placement`); one that cannot be placed covers nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.guidance.covering import Covering, Stand
-from device.guidance.placement import Unplaced, way_words
-from device.surface.fields import HeightMap, MaskArray
+from device.guidance.placement import Placement, Target, Unplaced, way_words
+from device.surface.fields import Float64Array, HeightMap, MaskArray
 
 MAX_AREA_MM: Final = 300.0
 """Each way: some hundreds of presses."""
@@ -124,3 +129,147 @@ class CoverTask:
         straight = turn if abs(turn_deg) > 1.5 else ""
         overlap = f", overlap {self.stand.overlap:.0%}" if len(self._covering.stands) > 1 else ""
         return f"Covered {area}{overlap}. Move {next_press}{straight}."
+
+
+CELL_MM: Final = 0.5
+"""Side of the cells that the area is divided into."""
+
+WANTED_OVERLAP: Final = 0.4
+"""Of the field with one earlier press: a hand misses its place, and the workstation's mosaic needs a quarter."""
+
+MISSED_MM: Final = 1.0
+"""A hand is sent so far over the area's border at most: by so much it misses a place."""
+
+SLIVER: Final = 0.01
+"""Fraction of a field that is not worth a press."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """Place of the instrument during a press.
+
+    right_mm, down_mm : its middle, from that of the first press, in the first press's directions
+    clockwise_deg : its turn from the first press
+    overlap : fraction of the field that an earlier press shows too; 1 for the first
+    """
+
+    right_mm: float
+    down_mm: float
+    clockwise_deg: float
+    overlap: float
+
+    def of_press(self, placed: Placement) -> Stand:
+        """Return where a press stood whose way to here is `placed`."""
+        turn_deg = self.clockwise_deg - placed.clockwise_deg
+        right, down = _turned(np.array([placed.right_mm, placed.down_mm]), turn_deg).tolist()
+        return Stand(self.right_mm - right, self.down_mm - down, turn_deg, placed.overlap)
+
+    def way_to(self, place_mm: tuple[float, float]) -> tuple[float, float]:
+        """The way to a place, mm to the right and down in the live view of this press."""
+        way = np.array([place_mm[0] - self.right_mm, place_mm[1] - self.down_mm])
+        right, down = _turned(way, -self.clockwise_deg).tolist()
+        return right, down
+
+
+class Covering:
+    """An area that is being covered.
+
+    width_mm, height_mm : of the area; it is as large as the field at least
+    first : quick look of the press at its upper left corner
+    """
+
+    def __init__(self, width_mm: float, height_mm: float, first: HeightMap) -> None:
+        rows, columns = first.z_um.shape
+        self.field_mm = columns * first.pitch_um * 1e-3, rows * first.pitch_um * 1e-3
+        self.area_mm = max(width_mm, self.field_mm[0]), max(height_mm, self.field_mm[1])
+        right, down = (
+            (np.arange(round(area / CELL_MM)) + 0.5) * CELL_MM - 0.5 * field
+            for area, field in zip(self.area_mm, self.field_mm, strict=True)
+        )
+        self._cells = np.stack(np.meshgrid(right, down), axis=-1)
+        self._field_cells = float(np.prod(self.field_mm)) / CELL_MM**2
+        self._worth = np.exp2(-2.0 * self._cells[..., 1] / self.field_mm[1])
+        self.covered: MaskArray = np.zeros(self._cells.shape[:2], np.bool_)
+        self.stands: list[Stand] = []
+        self._targets: list[Target] = []
+        self._add(first, Stand(0.0, 0.0, 0.0, 1.0))
+
+    @property
+    def share(self) -> float:
+        """Fraction of the area that is covered."""
+        return float(self.covered.mean())
+
+    def add(self, height: HeightMap) -> Stand | Unplaced:
+        """Place a press against the earlier ones, the last one first, and count what it covers.
+
+        Where another one turns out to share more with it, that one says where it stood.
+        """
+        found: Stand | Unplaced = Unplaced("no earlier press")
+        for number in reversed(range(len(self.stands))):
+            found = self._placed(height, number)
+            if isinstance(found, Stand):
+                shared = [self._overlap(np.array([found.right_mm, found.down_mm]), stand) for stand in self.stands]
+                nearest = int(np.argmax(shared))
+                again = found if nearest == number else self._placed(height, nearest)
+                return self._add(height, again if isinstance(again, Stand) else found)
+        return found
+
+    def next_place(self) -> tuple[float, float] | None:
+        """Middle of the field from where most is covered beside enough overlap, mm from the first press's middle.
+
+        What lies further up counts for more, so that rows are filled one after the other; of places that are worth as
+        much, the nearest to the last press. None where nothing is left but slivers that a hand misses.
+        """
+        reaches = (
+            np.arange(-MISSED_MM, area - field + MISSED_MM + CELL_MM, CELL_MM)
+            for area, field in zip(self.area_mm, self.field_mm, strict=True)
+        )
+        middles = np.stack(np.meshgrid(*reaches), axis=-1)
+        new = self._counted(middles, np.ones_like(self._worth))
+        last = self.stands[-1]
+        away = np.hypot(middles[..., 0] - last.right_mm, middles[..., 1] - last.down_mm)
+        enough = np.zeros(new.shape, np.bool_)
+        for stand in self.stands:
+            enough |= self._overlap(middles, stand) >= WANTED_OVERLAP
+        enough &= new >= SLIVER * self._field_cells
+        worth = np.where(enough, self._counted(middles, self._worth) - 1e-3 * away, -np.inf)
+        row, column = np.unravel_index(int(worth.argmax()), worth.shape)
+        if not np.isfinite(worth[row, column]):
+            return None
+        right, down = middles[row, column].tolist()
+        return right, down
+
+    def _placed(self, height: HeightMap, number: int) -> Stand | Unplaced:
+        found = self._targets[number].place(height)
+        return self.stands[number].of_press(found) if isinstance(found, Placement) else found
+
+    def _add(self, height: HeightMap, stand: Stand) -> Stand:
+        self._targets.append(Target(height))
+        self.stands.append(stand)
+        offset = np.abs(_turned(self._cells - (stand.right_mm, stand.down_mm), -stand.clockwise_deg))
+        self.covered |= (offset[..., 0] <= 0.5 * self.field_mm[0]) & (offset[..., 1] <= 0.5 * self.field_mm[1])
+        return stand
+
+    def _counted(self, middles: Float64Array, worth: Float64Array) -> Float64Array:
+        """Return the worth of the cells that fields with these middles, (h, w, 2), would newly cover, summed."""
+        rows, columns = self.covered.shape
+        missing = np.zeros((rows + 1, columns + 1))
+        missing[1:, 1:] = (worth * ~self.covered).cumsum(axis=0).cumsum(axis=1)
+        start = np.rint(middles / CELL_MM)
+        end = start + np.rint(np.array(self.field_mm) / CELL_MM)
+        (left, top), (right, bottom) = (
+            np.moveaxis(np.clip(at, 0, (columns, rows)).astype(np.intp), -1, 0) for at in (start, end)
+        )
+        return np.asarray(missing[bottom, right] - missing[top, right] - missing[bottom, left] + missing[top, left])
+
+    def _overlap(self, middles: Float64Array, stand: Stand) -> Float64Array:
+        """Fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
+        apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
+        return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))
+
+
+def _turned(ways: Float64Array, clockwise_deg: float) -> Float64Array:
+    """Ways (..., 2), right and down in a view's directions, in those of the view that it is turned clockwise from."""
+    cosine, sine = float(np.cos(np.radians(clockwise_deg))), float(np.sin(np.radians(clockwise_deg)))
+    right, down = ways[..., 0], ways[..., 1]
+    return np.stack([cosine * right - sine * down, sine * right + cosine * down], axis=-1)

@@ -1,23 +1,29 @@
-"""The press guide: one reading per live frame, from intensities, the tabulated inverse map and a small integration."""
+"""The press guide: one reading per live frame, from intensities, the tabulated inverse map and a small integration.
+
+The press guide's reading of a live frame, and the one advice that follows from it.
+
+Raw frames downsampled to small colour images: one Bayer quad per block, cheap enough for every live frame.
+
+Why not the camera's own low-resolution stream: its grey values have been through the image pipeline and no longer
+measure light, and slope and depth need colour. Picking quads costs a fraction of a millisecond.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from device.bundles.scan import VerdictLevel
-from device.guidance.downsample import ReducedFrame, downsample_bayer, downsample_step
-from device.guidance.reading import GuideReading, advise
 from device.imaging.exposure import Levels
-from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
+from device.imaging.flat_field import DARK_FLOOR, SATURATED, NormalizedImage, bin_bayer
 from device.imaging.frame_measures import SHADED
 from device.inverse_map.tabulated import TabulatedInverseMap
-from device.quality.lights import border_levels, light_complaint
-from device.quality.press_faults import PressFigures
-from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, TILT_CONTACT
+from device.quality.press_faults import FaultKind, PressFigures, press_faults
+from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, STILL_S, TILT_CONTACT
+from device.quality.verdict import border_levels, light_complaint
 from device.surface.fields import Float32Array, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from hal.frame import RawFrame
@@ -203,3 +209,107 @@ def _lean_deg(lean: tuple[float, float]) -> float:
 def _lean_side(lean: tuple[float, float]) -> str:
     """The side that is pressed deeper, where the skin is higher."""
     return _SIDES[round(np.arctan2(lean[1], lean[0]) / (np.pi / 4.0)) % 8]
+
+
+Advice = FaultKind | Literal["calibrate", "hold still", "ready"]
+
+
+@dataclass(frozen=True, slots=True)
+class GuideReading:
+    """Figures of one live frame; None means not measurable now, never 0.
+
+    contact_fraction : fraction of the field where the skin is shaded or raised
+    tilt_deg, tilt_towards : tilt of the contact plane, and the side that is pressed deeper
+    motion : change since the previous frame, in intensity
+    still_s : how long the contact has not moved
+    clipped_fraction : fraction of saturated pixels
+    exposure : 99th percentile of the frame, fraction of full scale
+    depth_um, depth_fraction : how far the skin is raised, and the same as a fraction of the slab's maximum
+    in_air : nothing touches the skin
+    advice : what to do, as one word for programs
+    sentence : the same for people
+    cpu_ms : CPU time of this reading
+    """
+
+    contact_fraction: float | None
+    tilt_deg: float | None
+    tilt_towards: str
+    motion: float | None
+    still_s: float
+    clipped_fraction: float
+    exposure: float
+    depth_um: float | None
+    depth_fraction: float | None
+    in_air: bool
+    advice: Advice
+    sentence: str
+    cpu_ms: float
+
+
+def advise(figures: PressFigures, still_s: float) -> tuple[Advice, str]:
+    """Return what to do about a live frame: one word for programs, one sentence for people. It says "ready" of no press
+    that the verdict would find at fault for the same figures.
+    """
+    fault = next(press_faults(figures), None)
+    if fault:
+        return fault.kind, _sentence(fault.cue or fault.sentence)
+    if figures.contact_fraction is None:
+        return "calibrate", "No reference yet: calibrate first, then contact is shown."
+    if still_s < STILL_S:
+        return "hold still", "Hold still."
+    return "ready", "Ready: push the button."
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+MAX_COLUMNS: Final = 160
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedFrame:
+    """A small image of the live stream.
+
+    rgb : float32 array of shape (h, w, 3), linear light as a fraction of full scale
+    clipped_fraction : fraction of pixels with a saturated channel
+    at_ns : start of the exposure, monotonic ns
+    """
+
+    rgb: Float32Array
+    clipped_fraction: float
+    at_ns: int
+
+    def picture(self) -> np.ndarray:
+        """The image for a screen: uint8 array of shape (h, w, 3), R, G, B, with gamma applied."""
+        return np.asarray(255.0 * np.sqrt(np.clip(self.rgb, 0.0, 1.0)) + 0.5, np.uint8)
+
+
+def downsample_step(shape: tuple[int, int]) -> int:
+    """Sensor pixels per pixel of the small image: the smallest even step that leaves at most `MAX_COLUMNS` columns."""
+    step = 2
+    while shape[1] // step > MAX_COLUMNS:
+        step += 2
+    return step
+
+
+def downsample_bayer(frame: RawFrame) -> ReducedFrame:
+    """The small image of a raw frame, from the middle quad of every block."""
+    step = downsample_step(frame.shape)
+    rows, columns = (size // step * step for size in frame.shape)
+    first = step // 2 // 2 * 2
+    scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
+    sites = [
+        frame.mosaic[first + i // 2 : rows : step, first + i % 2 : columns : step].astype(np.float32) for i in range(4)
+    ]
+    colours = [[site for site, letter in zip(sites, frame.bayer_order, strict=True) if letter == c] for c in "RGB"]
+    rgb = np.empty((*sites[0].shape, 3), np.float32)
+    brightest = sites[0]
+    for channel, same in enumerate(colours):
+        rgb[..., channel] = same[0] if len(same) == 1 else np.float32(0.5) * (same[0] + same[1])
+        for site in same:
+            brightest = np.maximum(brightest, site)
+    rgb -= np.float32(frame.black_level_dn)
+    rgb *= scale
+    limit = frame.black_level_dn + SATURATED / float(scale)
+    return ReducedFrame(rgb, float((brightest >= limit).mean()), frame.sensor_timestamp_ns)

@@ -2,16 +2,23 @@
 
 Sharpness is the ratio of fine to coarser contrast at the strongest edges. Only edges can be sharp: a frame with gentle
 slopes alone has no measurable focus and gets None.
+
+Focus figure: fine contrast of whatever the camera sees, for turning a lens to its sharpest place.
+
+Unlike a scan's sharpness it needs neither a reference nor an edge, and compares frames of one scene only.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 
-from device.imaging.flat_field import NormalizedImage
+from device.imaging.flat_field import NormalizedImage, bin_bayer
+from hal.frame import RawFrame
 
 SCALES_PX: Final = (1.4, 2.8, 5.6)
 """Standard deviations of the Gaussians whose differences are fine and coarser contrast."""
@@ -40,3 +47,74 @@ def shaded_fraction(intensity: NormalizedImage) -> float:
     red, green, blue = np.moveaxis(np.abs(smooth - 1.0) > SHADED, -1, 0)
     shaded = red | green | blue
     return float(shaded[intensity.valid].mean()) if intensity.valid.any() else 0.0
+
+
+FOCUS_SCALES_PX: Final = (0.7, 1.4)
+"""Standard deviations of the Gaussians whose difference is fine contrast, in pairs of pixels."""
+
+CENTRE: Final = 0.5
+"""Part of the field's width and height that is judged: a lens is focused at the centre."""
+
+
+NEAR_BEST: Final = 0.9
+"""Fraction of the best figure from which the lens counts as sharp; a figure below it has clearly fallen."""
+
+MEDIAN_OF: Final = 3
+"""Frames whose median figure counts, so that noise of one frame makes no best value."""
+
+IS_DARK: Final = "The picture is dark: take the lens cap off and check the lights."
+SEARCH: Final = "Turn the focus ring slowly one way, until the figure has risen and falls again."
+TURN_BACK: Final = "Below the best: turn slowly back. If the object was moved, start again."
+IS_SHARP: Final = "Sharp: lock the ring here. Then calibrate, because the picture has changed."
+
+
+@dataclass(frozen=True, slots=True)
+class FocusReading:
+    """Present sharpness of the lens.
+
+    figure, best : present and largest focus figure since the start
+    advice : what to turn, one sentence
+    """
+
+    figure: float
+    best: float
+    advice: str
+
+    @property
+    def fraction(self) -> float:
+        """Present figure as a fraction of the best; 0 in darkness."""
+        return self.figure / self.best if self.best else 0.0
+
+
+class FocusMeter:
+    """Holds the best figure while a person turns the lens, and says what to turn. One scene only."""
+
+    def __init__(self) -> None:
+        self._last: deque[float] = deque(maxlen=MEDIAN_OF)
+        self._best = 0.0
+        self._has_fallen = False
+
+    def read(self, frame: RawFrame) -> FocusReading:
+        """The reading with one more frame."""
+        self._last.append(focus_figure(frame))
+        figure = float(np.median(self._last))
+        self._best = max(self._best, figure)
+        is_near = figure >= NEAR_BEST * self._best
+        self._has_fallen = self._has_fallen or not is_near
+        if figure == 0.0:
+            return FocusReading(figure, self._best, IS_DARK)
+        advice = SEARCH if not self._has_fallen else IS_SHARP if is_near else TURN_BACK
+        return FocusReading(figure, self._best, advice)
+
+
+def focus_figure(frame: RawFrame) -> float:
+    """Standard deviation of the fine contrast at the field's centre, per thousand of the mean light; 0 in darkness."""
+    rows, columns = frame.shape
+    down, right = (round(size * (1.0 - CENTRE) / 4.0) * 2 for size in (rows, columns))  # even: whole Bayer quads
+    centre = np.ascontiguousarray(frame.mosaic[down : rows - down, right : columns - right])
+    green = np.ascontiguousarray(bin_bayer(replace(frame, mosaic=centre)).rgb[..., 1])
+    mean = float(green.mean())
+    if mean <= 0.0:
+        return 0.0
+    fine, coarse = (cv2.GaussianBlur(green, (0, 0), scale) for scale in FOCUS_SCALES_PX)
+    return 1e3 * float((fine - coarse).std()) / mean

@@ -25,8 +25,7 @@ from device.quality.thresholds import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.active import ACTIVE_FILE
 from device.store.checks import read_checks, read_standard, write_standard
-from device.store.choices import BALANCE
-from device.store.gels import known_gel, make_gel, mount_gel, mounted_gel
+from device.store.choices import BALANCE, known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
 from device.store.store import BundleStore
 from hal.errors import HalError

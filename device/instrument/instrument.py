@@ -21,10 +21,9 @@ from device.bundles.scan import Annotations
 from device.errors import DeviceError, RecordError
 from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup, gel_state
-from device.instrument.calibration_ball import BALL_RADIUS_MM
-from device.instrument.deleted_scans import DeletedScans
+from device.instrument.calibration_run import BALL_RADIUS_MM
 from device.instrument.events import Event, Failed, Info
-from device.instrument.history import History, read_history, read_quick_look
+from device.instrument.history import DeletedScans, History, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.spot_search import FIRST
@@ -40,12 +39,12 @@ from device.store.choices import (
     ScanMark,
     Settings,
     add_preset,
+    known_gels,
     read_presets,
     read_settings,
     read_sticky,
     write_mark,
 )
-from device.store.gels import known_gels
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
 from device.store.stick import StickExport, export_to_stick, find_stick
 from device.store.store import BundleStore

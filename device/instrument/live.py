@@ -1,21 +1,26 @@
-"""The live stream: lights on, frame after frame to the press guide; lights off after a while without activity."""
+"""The live stream: lights on, frame after frame to the press guide; lights off after a while without activity.
+
+A figure of every live frame that a screen asks for, such as the focus; it ends by itself after a while.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from device.acquisition.capture import FRAME_TIMEOUT_S, CaptureSettings, check_frame
 from device.bundles.scan import VerdictLevel
-from device.guidance.downsample import downsample_bayer, downsample_step
-from device.guidance.guide import GuideModel, PressGuide
-from device.guidance.reading import GuideReading
-from device.imaging.exposure import Levels
+from device.guidance.guide import GuideModel, GuideReading, PressGuide, downsample_bayer, downsample_step
+from device.imaging.exposure import Levels, SkinLevels
+from device.imaging.frame_measures import FocusMeter, FocusReading
+from device.instrument.events import Info
 from device.instrument.state import LiveView, StateStore
 from device.quality.thresholds import STILL_S
 from hal.errors import FrameTimeout
 from hal.frame import RawFrame
 from hal.hardware import Hardware
+from hal.interfaces import Clock
 
 SLEEP_AFTER_S: Final = 120.0
 """Time without contact, press or command after which the lights go off: they warm the gel and drain the battery."""
@@ -148,3 +153,70 @@ class LiveLoop:
         on.
         """
         return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9
+
+
+MAX_READING_S: Final = 600.0
+"""Maximum time: the lights stay on meanwhile, which warms the gel."""
+
+Read = Callable[[RawFrame], FocusReading | SkinLevels]
+
+
+class LiveFigure:
+    """Reads a figure of live frames between `start` and `stop`; for the hardware's thread only.
+
+    Parameters
+    ----------
+    field : of the state, where the figure is shown
+    begin : returns what reads frames; called at every start
+    ended : what is said when it ends by itself
+    """
+
+    def __init__(
+        self,
+        states: StateStore,
+        live: LiveLoop,
+        clock: Clock,
+        field: Literal["focus", "levels"],
+        begin: Callable[[], Read],
+        ended: str,
+    ) -> None:
+        self._states = states
+        self._live = live
+        self._clock = clock
+        self._field = field
+        self._begin = begin
+        self._ended = ended
+        self._read: Read | None = None
+        self._started_ns = 0
+
+    def start(self) -> None:
+        """Read from now on; what was seen before is forgotten."""
+        self._read, self._started_ns = self._begin(), self._clock.monotonic_ns()
+        self._live.wake()
+
+    def stop(self) -> None:
+        """Read no longer."""
+        self._read = None
+        self._states.update(**{self._field: None})
+
+    def step(self, live: LiveFrame | None) -> None:
+        """Read a live frame, if the figure is wanted and there is one."""
+        if self._read is None:
+            return
+        if self._clock.monotonic_ns() - self._started_ns > MAX_READING_S * 1e9:
+            self.stop()
+            self._states.publish(Info(f"{self._ended} ended after {MAX_READING_S / 60.0:.0f} minutes."))
+            return
+        self._live.wake()
+        if live is not None:
+            self._states.update(**{self._field: self._read(live.frame)})
+
+
+def focus_figure_of(states: StateStore, live: LiveLoop, clock: Clock) -> LiveFigure:
+    """Return how sharp the lens is set, while a person turns it."""
+    return LiveFigure(states, live, clock, "focus", lambda: FocusMeter().read, "The focus figure")
+
+
+def skin_levels_of(states: StateStore, live: LiveLoop, clock: Clock) -> LiveFigure:
+    """Return how bright each light is on the skin."""
+    return LiveFigure(states, live, clock, "levels", lambda: SkinLevels.of_frame, "Reading the light on the skin")

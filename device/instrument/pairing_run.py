@@ -11,13 +11,14 @@ from typing import Final
 from device.errors import DeviceError, RecordError
 from device.instrument.events import Failed, PairingChanged
 from device.instrument.state import PairingState, StateStore
-from device.pairing_service.authorized_keys import has_keys, read_host_key
 from device.pairing_service.service import (
     PairingSetup,
     describe_code,
     fingerprint_of,
+    has_keys,
     how_to_call,
     open_pairing_window,
+    read_host_key,
 )
 from device.pairing_service.window import PairingWindow
 from device.store.store import BundleStore

@@ -23,7 +23,6 @@ from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.instrument.button import ButtonEvent, ButtonWatch
-from device.instrument.deleted_scans import DeletedScans
 from device.instrument.events import (
     REFUSALS,
     CaptureDone,
@@ -37,6 +36,7 @@ from device.instrument.events import (
     ScanFinished,
     show,
 )
+from device.instrument.history import DeletedScans
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.spot_search import SpotSearch
 from device.instrument.state import LastScan, StateStore

@@ -17,9 +17,9 @@ from device.acquisition.retake import Retake
 from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.cover_task import CoverMap
-from device.guidance.reading import GuideReading
+from device.guidance.guide import GuideReading
 from device.imaging.exposure import Brightness, SkinLevels
-from device.imaging.focus import FocusReading
+from device.imaging.frame_measures import FocusReading
 from device.instrument.events import Event
 from device.quality.thresholds import OLD_CALIBRATION_S
 from device.store.choices import Settings

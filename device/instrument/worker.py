@@ -9,26 +9,22 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
-from device.acquisition.selftest import selftest
+from device.acquisition.selftest import root_fault, selftest
 from device.errors import DeviceError
 from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup
 from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
-from device.instrument.area_cover import AreaCover
-from device.instrument.balance_run import BalanceRun
 from device.instrument.button import LONG_PUSH_S, ButtonEvent, LongPressHandler
-from device.instrument.calibration_run import CalibrationRun
-from device.instrument.deleted_scans import DeletedScans
+from device.instrument.calibration_run import BalanceRun, CalibrationRun
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
-from device.instrument.live import LiveLoop
-from device.instrument.live_figure import focus_figure_of, skin_levels_of
+from device.instrument.history import DeletedScans
+from device.instrument.live import LiveLoop, focus_figure_of, skin_levels_of
 from device.instrument.pairing_run import PairingRun
 from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
-from device.instrument.spot_search import SpotSearch
+from device.instrument.spot_search import AreaCover, SpotSearch
 from device.instrument.state import SpotState, StateStore
 from device.io.memory import give_back_memory
-from device.io.root_overlay import root_fault
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware

@@ -9,8 +9,7 @@ from typing import Final
 from device.errors import MachineError
 from device.machine.backlight import SysfsBacklight
 from device.machine.interfaces import ClockStatus, Machine
-from device.machine.programs import ProgramFailed, run_program
-from device.machine.wifi import NetworkManagerWifi
+from device.machine.wifi import NetworkManagerWifi, ProgramFailed, run_program
 
 NOT_ALLOWED: Final = ("Access denied", "authentication required", "not authorized", "Permission denied")
 

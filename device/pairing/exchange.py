@@ -4,6 +4,13 @@ This is numeric comparison, as Bluetooth pairs two screens: the workstation comm
 its own, the workstation opens the commitment, and the code is a hash of both cards and both numbers. Someone in between
 must fix what each side hashes before the last number is known, so each code that a person compares is one guess in
 10**6. Nothing here is secret; SSH itself proves at every connection that a side holds the key on its card.
+
+Records over a socket, one JSON line each, limited in time and size: the channel of both sides of pairing.
+
+Pairing without a screen: each side leaves its card in a folder of the memory card and reads the other's.
+
+The holder of the memory card is trusted as the device's owner, but the card's file system is not: links are not
+followed, and only small regular files are read.
 """
 
 from __future__ import annotations
@@ -11,11 +18,17 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
-from typing import Annotated, Final
+import socket
+import time
+from pathlib import Path
+from typing import Annotated, Final, TypeVar
 
 import msgspec
 
-from device.bundles.record import BundleId, Record
+from device.bundles.record import BundleId, Record, decode_record, encode_record
+from device.errors import RecordError, StoreError
+from device.io.folder import Folder
+from device.io.os_errors import explain_os_error
 
 CODE_DIGITS: Final = 6
 PAIRING_PORT: Final = 8022
@@ -93,3 +106,132 @@ def code_of(host: HostCard, device: DeviceCard, host_number: str, device_number:
 
 def _hash(*parts: Record | str) -> str:
     return hashlib.sha256(msgspec.json.encode((_CONTEXT, *parts))).hexdigest()
+
+
+RecordT = TypeVar("RecordT", bound=Record)
+
+
+class PairingChannel:
+    """One connection; every method raises `RecordError` when the other side is gone, slow or sends something else.
+
+    Parameters
+    ----------
+    connection : closed by the caller
+    within_s : time limit of the whole conversation, s
+    """
+
+    def __init__(self, connection: socket.socket, within_s: float) -> None:
+        self._connection = connection
+        self._unread = b""
+        self.limit(within_s)
+
+    def limit(self, within_s: float) -> None:
+        """Give the rest of the conversation a new time limit, s."""
+        self._end_s = time.monotonic() + within_s
+
+    def send(self, record: Record) -> None:
+        """Send one record."""
+        try:
+            self._connection.settimeout(self._left_s())
+            self._connection.sendall(msgspec.json.encode(record) + b"\n")
+        except OSError as error:
+            raise RecordError(f"pairing: the other side is gone ({error}): start again") from error
+
+    def receive(self, kind: type[RecordT]) -> RecordT:
+        """The next record, which must be of that kind."""
+        while b"\n" not in self._unread:
+            try:
+                self._connection.settimeout(self._left_s())
+                some = self._connection.recv(MAX_MESSAGE_BYTES)
+            except OSError as error:
+                raise RecordError(f"pairing: the other side is silent ({error}): start again") from error
+            self._unread += some
+            if not some or len(self._unread) > MAX_MESSAGE_BYTES:
+                raise RecordError("pairing: the other side closed the connection: start again")
+        line, _, self._unread = self._unread.partition(b"\n")
+        return decode_record(line, kind, "pairing", "start again")
+
+    def _left_s(self) -> float:
+        left_s = self._end_s - time.monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError("too slow")
+        return left_s
+
+
+FOLDER: Final = "retrograph-pair"
+_DEVICE: Final = "device.json"
+_MAX_HOSTS: Final = 16
+_MAX_CARD_BYTES: Final = 1 << 16
+_REMEDY: Final = "remove it and pair again"
+
+CardT = TypeVar("CardT", bound=Record)
+
+
+def leave_host_card(memory_card: Path, host: HostCard) -> Path:
+    """Leave the workstation's card on the memory card; returns its path.
+
+    Raises
+    ------
+    StoreError
+        The memory card cannot be written.
+    """
+    return _leave(memory_card, f"host-{host.name}.json", encode_record(host))
+
+
+def take_host_cards(memory_card: Path) -> list[HostCard]:
+    """The workstations whose cards are on the memory card.
+
+    Raises
+    ------
+    RecordError
+        One is damaged; names it.
+    """
+    try:
+        with Folder(memory_card) as folder:
+            names = [entry.name for entry in folder.entries(FOLDER)]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise _unreadable(memory_card / FOLDER, error) from error
+    files = [name for name in names if name.startswith("host-") and name.endswith(".json")][:_MAX_HOSTS]
+    cards = (_read(memory_card, name, HostCard) for name in files)
+    return [card for card in cards if card is not None]
+
+
+def leave_device_card(memory_card: Path, device: DeviceCard) -> Path:
+    """Leave the device's card on the memory card; returns its path. Errors as for `leave_host_card`."""
+    return _leave(memory_card, _DEVICE, encode_record(device))
+
+
+def read_device_card(memory_card: Path) -> DeviceCard | None:
+    """The device's card, None when it has left none yet. Errors as for `take_host_cards`."""
+    return _read(memory_card, _DEVICE, DeviceCard)
+
+
+def _read(memory_card: Path, name: str, kind: type[CardT]) -> CardT | None:
+    path = memory_card / FOLDER / name
+    try:
+        with Folder(memory_card) as folder:
+            data = folder.read(f"{FOLDER}/{name}", _MAX_CARD_BYTES)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return decode_record(data, kind, path, _REMEDY)
+
+
+def _leave(memory_card: Path, name: str, data: bytes) -> Path:
+    path = memory_card / FOLDER / name
+    if not memory_card.is_dir():
+        raise RecordError(f"{memory_card}: is no folder: name the mounted memory card")
+    try:
+        with Folder(memory_card) as folder:
+            folder.make_folder(FOLDER)
+            folder.write(f"{FOLDER}/{name}", data)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written {explain_os_error(error)}") from error
+    return path
+
+
+def _unreadable(path: Path, error: OSError) -> RecordError:
+    return RecordError(f"{path}: cannot be read ({error.strerror or error}): {_REMEDY}")

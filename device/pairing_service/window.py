@@ -18,8 +18,18 @@ from types import TracebackType
 from typing import Final
 
 from device.errors import DeviceError, PairingRefused, RecordError
-from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Accepted, Answer, Call, DeviceCard, HostCard, Opening, code_of, draw_number, opens
+from device.pairing.exchange import (
+    Accepted,
+    Answer,
+    Call,
+    DeviceCard,
+    HostCard,
+    Opening,
+    PairingChannel,
+    code_of,
+    draw_number,
+    opens,
+)
 from hal.interfaces import Clock
 
 WINDOW_S: Final = 120.0

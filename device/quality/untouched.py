@@ -13,6 +13,8 @@ Beside a press little skin may be left untouched. The largest group of calm bloc
 is that skin, if the frame also shows the steep skin at an object's edge: a gentle object over the whole field has none,
 and any of its places may look like untouched skin under other lights. A flat face in the middle is raised, which makes
 it darker by about as much as a light is to be known to.
+
+Check of a reference: untouched skin's light is smooth, without spots, and shaped as the last reference's.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ import numpy as np
 
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import LinearFrame, NormalizedImage
+from device.inverse_map.polynomial_features import monomials
 from device.quality.light_shares import LightShares
-from device.quality.thresholds import DEFECT_CONTRAST
+from device.quality.thresholds import DEFECT_CONTRAST, MAX_DEFECTS
 from device.surface.fields import Float32Array, MaskArray
 
 BLOCKS_ACROSS: Final = 24
@@ -294,3 +297,45 @@ def _region(ratio: Float32Array, kept: MaskArray) -> UntouchedRegion:
 def _as_levels(level: Float32Array) -> Levels:
     red, green, blue = (float(value) for value in level)
     return red, green, blue
+
+
+SMOOTH_DEGREE: Final = 4
+"""Degree in position of a polynomial that follows the logarithm of near lights over a field, to about one percent."""
+
+MAX_UNEVEN: Final = 0.06
+"""Largest relative deviation of a block's light from that polynomial on untouched skin."""
+
+MAX_CHANGED: Final = 0.025
+"""95th percentile of the relative change of a channel's shape since the last reference, levels removed."""
+
+_DARK: Final = 1e-3
+
+
+def reference_fault(reference: LinearFrame) -> str:
+    """Why a frame cannot be of clean, untouched skin; empty if it can. A smooth object over the whole field can."""
+    defects = float(gel_defects(reference).mean())
+    uneven = _deviation_from_smooth(block_means(reference.rgb))
+    if uneven > MAX_UNEVEN:
+        return f"something touches the gel: its light is uneven by {uneven:.0%}"
+    if defects > MAX_DEFECTS:
+        return f"{defects:.0%} of the skin is touched, scratched or dirty: lift off, wipe the gel"
+    return ""
+
+
+def changed_shape(reference: LinearFrame, last: LinearFrame) -> float:
+    """Return how much the light's shape over the field differs from the last reference's, relative, lights' levels
+    removed.
+    """
+    ratio = block_means(reference.rgb) / np.maximum(block_means(last.rgb), np.float32(_DARK))
+    ratio /= np.median(ratio, axis=(0, 1))
+    return float(np.percentile(np.abs(ratio - 1.0), 95))
+
+
+def _deviation_from_smooth(light: Float32Array) -> float:
+    """Largest deviation of the logarithm of blocks' light, (rows, columns, 3), from a smooth polynomial."""
+    rows, columns, _ = light.shape
+    across, down = np.meshgrid(np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows))
+    design = monomials(np.stack([across.ravel(), down.ravel()], axis=-1), SMOOTH_DEGREE)
+    target = np.log(np.maximum(light.reshape(-1, 3).astype(np.float64), _DARK))
+    coefficients, *_ = np.linalg.lstsq(design, target, rcond=None)
+    return float(np.abs(target - design @ coefficients).max())

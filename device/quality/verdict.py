@@ -1,10 +1,16 @@
-"""The verdict on a press, from its binned frame and the state of lights and gel. It needs no reconstruction."""
+"""The verdict on a press, from its binned frame and the state of lights and gel. It needs no reconstruction.
+
+Light levels at the field's border and the light driver's flags, compared with the calibration.
+
+A press rarely reaches the border, where the skin then matches the reference and intensity is 1. Driver flags are
+advisory because they are sometimes wrong: they alone never reject a press that the camera saw well lit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -12,7 +18,6 @@ from device.bundles.scan import VerdictLevel, VerdictRecord
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import BLACK_FRAME, LinearFrame, NormalizedImage
 from device.imaging.frame_measures import shaded_fraction, sharpness
-from device.quality.lights import border_levels, light_complaint
 from device.quality.press_faults import PressFigures, press_faults
 from device.quality.thresholds import (
     CLIPPED_DOUBTFUL,
@@ -26,6 +31,7 @@ from device.quality.thresholds import (
     SHARP,
 )
 from device.quality.untouched import dark_spots
+from device.surface.fields import MaskArray
 
 LIGHTS_UNKNOWN: Final = "the lights could not be checked: lift off for a moment after each press"
 
@@ -262,3 +268,56 @@ def drift_complaints(
             yield "doubtful", f"light {name} is {how}: {advice}"
     if reference_change is not None and reference_change > DRIFTED:
         yield "doubtful", f"the untouched skin has changed by {reference_change:.1%}: wipe the gel, or calibrate again"
+
+
+BORDER_FRACTION: Final = 1 / 12
+"""Width of the border as a fraction of the field's shorter side."""
+
+OUT_LEVEL: Final = 0.75
+"""Below this fraction of its calibrated level a light, or one of its two LEDs, is out: no slope can be trusted."""
+
+WEAK_LEVEL: Final = 0.9
+"""Below this fraction slopes are off by degrees."""
+
+
+def border_levels(intensity: NormalizedImage) -> Levels | None:
+    """Median intensity of R, G and B along the border, 1 as calibrated; None if no border pixel is valid."""
+    border = _border(intensity.shape) & intensity.valid
+    if not border.any():
+        return None
+    red, green, blue = (float(level) for level in np.median(intensity.values[border], axis=0))
+    return red, green, blue
+
+
+def light_complaint(
+    levels: Levels | None, names: Sequence[str], flags: Mapping[str, str]
+) -> tuple[Literal["doubtful", "retake"], str] | None:
+    """Return what is wrong with the lights, as a verdict's level and reason; None if nothing is.
+
+    levels : from `border_levels`; None if not measured
+    names : of the lights in R, G, B order
+    flags : the driver's flags by light, such as "open"
+    """
+    measured: dict[str, float] = {} if levels is None else dict(zip(names, levels, strict=True))
+    out = [name for name in names if (measured[name] < OUT_LEVEL if measured else name in flags)]
+    if out:
+        found = "; ".join(_describe(name, measured.get(name), flags.get(name)) for name in out)
+        return "retake", f"{found}: check its LEDs and wires, and run `retroscan selftest`"
+    suspect = [name for name in names if name in flags or measured.get(name, 1.0) < WEAK_LEVEL]
+    if suspect:
+        found = "; ".join(_describe(name, measured[name], flags.get(name)) for name in suspect)
+        return "doubtful", f"{found}: run `retroscan selftest`" + ("" if flags else ", then calibrate again")
+    return None
+
+
+def _describe(name: str, level: float | None, flag: str | None) -> str:
+    seen = "" if level is None else f" is at {level:.0%} of its calibrated level"
+    return f"light {name}{seen}" + (f"{' and' if seen else ':'} the driver reports {flag}" if flag else "")
+
+
+def _border(shape: tuple[int, int]) -> MaskArray:
+    """True along the border of a field of shape (H, W)."""
+    width = max(round(BORDER_FRACTION * min(shape)), 1)
+    border = np.ones(shape, np.bool_)
+    border[width:-width, width:-width] = False
+    return border

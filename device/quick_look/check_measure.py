@@ -1,14 +1,21 @@
-"""A check standard measured in a quick look: radius of a ball, height of a step, Ra of a roughness specimen."""
+"""A check standard measured in a quick look: radius of a ball, height of a step, Ra of a roughness specimen.
+
+Bias of a ball's radius in the quick look, from the calibration's own balls and from its height.
+
+A light of a few millimetres' height comes nearer to skin that is pressed towards it, and shades its slopes more. An
+inverse map knows the height of the balls that it was trained on only: balls that stand lower read too flat.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
-from device.quick_look.ball_bias import BallBias, BallReading
 from device.quick_look.measures import MIN_CUTOFF_PX, RUN_UP, levelled, mean_line
 from device.quick_look.solver import QuickLook
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap
@@ -191,3 +198,53 @@ def _middle(z_um: Float32Array, fraction: float) -> Float32Array:
     rows, columns = z_um.shape
     top, left = round(rows * (1.0 - fraction) / 2.0), round(columns * (1.0 - fraction) / 2.0)
     return z_um[top : rows - top, left : columns - left]
+
+
+PositionMm = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class BallReading:
+    """A ball in a quick look: radius, and height of its top above the untouched skin, µm."""
+
+    radius_um: float
+    top_um: float
+
+
+@dataclass(frozen=True, slots=True)
+class BallBias:
+    """Bias that the calibration's own balls have.
+
+    fraction : their radius as read over the stated one, median
+    top_um : height of their tops above the untouched skin, median, µm
+    lights_mm : position of each light
+    """
+
+    fraction: float
+    top_um: float
+    lights_mm: tuple[PositionMm, ...]
+
+    @classmethod
+    def of(
+        cls, readings: Sequence[BallReading], stated_um: Sequence[float], lights_mm: Sequence[PositionMm]
+    ) -> BallBias:
+        """The bias of at least one reading, beside the radii that the calibration states."""
+        fractions = [reading.radius_um / radius for reading, radius in zip(readings, stated_um, strict=True)]
+        tops = [reading.top_um for reading in readings]
+        return cls(float(np.median(fractions)), float(np.median(tops)), tuple(lights_mm))
+
+    def corrected_um(self, reading: BallReading) -> float:
+        """The radius without the bias, µm."""
+        lower = shading(self.lights_mm, self.top_um) / shading(self.lights_mm, reading.top_um)
+        return reading.radius_um / (self.fraction * lower)
+
+
+def shading(lights_mm: Sequence[PositionMm], height_um: float) -> float:
+    """Return how much more skin at a height shows of its slopes than untouched skin, in the middle of the field, mean
+    of the lights: the inverse cube of their distance. At most half a light's height counts.
+    """
+    found = []
+    for x, y, z in lights_mm:
+        aside, above = float(np.hypot(x, y)), z - min(max(height_um * 1e-3, 0.0), 0.5 * z)
+        found.append((np.hypot(aside, z) / np.hypot(aside, above)) ** 3)
+    return float(np.mean(found))

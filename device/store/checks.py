@@ -9,7 +9,7 @@ from typing import Final
 
 from device.bundles.check import CheckRecord, CheckStandard, StandardKind, look_alike_um
 from device.bundles.record import Identity
-from device.store.record_file import RecordFile
+from device.store.choices import RecordFile
 
 _REMEDY: Final = "remove it, and enter the check standard again"
 STANDARD: Final = RecordFile(CheckStandard, "checks/standard.json", _REMEDY)

@@ -1,20 +1,103 @@
 """Choices of the operator, small files so that they survive a restart: settings, labels, presets, marks, exposure.
 
 What is damaged counts as not there, and the usual choice holds.
+
+A small record of the store as a file that is replaced in one step.
+
+The mounted gel and the presses of each gel: small files of the store, replaced in one step.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Generic, Literal, TypeVar
 
 import msgspec
 
 from device.bundles.fingerprint import SettingsRecord
-from device.bundles.record import BundleId, Positive, Record, ShortText
+from device.bundles.record import BundleId, Count, Positive, Record, ShortText, decode_record, encode_record, read_small
 from device.bundles.scan import Annotations, CaptureMode
-from device.errors import RecordError
-from device.store.record_file import RecordFile
+from device.errors import RecordError, StoreError
+from device.io.atomic import replace_file
+from device.io.os_errors import explain_os_error
+from hal.board_profile import GelConfig
+
+Kept = TypeVar("Kept", bound=Record)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordFile(Generic[Kept]):
+    """One record in a store, or one for each name.
+
+    kind : type of the record
+    place : its path below the store, where {} is the name
+    remedy : what a person does about a damaged file
+    """
+
+    kind: type[Kept]
+    place: str
+    remedy: str
+
+    def path(self, root: Path, name: str = "") -> Path:
+        """Path of the file, there or not."""
+        return root / self.place.format(name)
+
+    def read(self, root: Path, name: str = "") -> Kept | None:
+        """The record; None when there is none.
+
+        Raises
+        ------
+        RecordError
+            The file is damaged.
+        """
+        return self._decoded(path) if (path := self.path(root, name)).exists() else None
+
+    def read_sound(self, root: Path, name: str = "") -> Kept | None:
+        """The record; None when there is none or its file is damaged."""
+        try:
+            return self.read(root, name)
+        except RecordError:
+            return None
+
+    def all_sound(self, root: Path) -> list[Kept]:
+        """The records of all names, by name; damaged ones are left out."""
+        pattern = self.path(root, "*")
+        names = sorted(path.stem for path in pattern.parent.glob(pattern.name))
+        return [record for name in names if (record := self.read_sound(root, name)) is not None]
+
+    def write(self, root: Path, record: Kept, name: str = "") -> None:
+        """Store a record durably.
+
+        Raises
+        ------
+        StoreError
+            The disk refused; the one before is kept.
+        """
+        path = self.path(root, name)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            replace_file(path, encode_record(record))
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error
+
+    def remove(self, root: Path) -> None:
+        """Remove the file.
+
+        Raises
+        ------
+        StoreError
+            The disk refused.
+        """
+        path = self.path(root)
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be removed {explain_os_error(error)}") from error
+
+    def _decoded(self, path: Path) -> Kept:
+        return decode_record(read_small(path, self.remedy), self.kind, path, self.remedy)
+
 
 Display = Literal["dark", "light"]
 Opinion = Literal["good", "bad"]
@@ -112,3 +195,85 @@ def write_mark(root: Path, mark: ScanMark) -> None:
     if not (root / "scans" / mark.scan_id).is_dir():
         raise RecordError(f"there is no scan {mark.scan_id} in {root}: choose one from the history")
     MARKS.write(root, mark, mark.scan_id)
+
+
+_REMEDY: Final = "remove it and name the gel again with `retroscan gel`"
+
+
+class GelRecord(Record, frozen=True, tag_field="schema", tag="retrograph.gel/1"):
+    """A gel of this instrument: thickness of its slab (mm) and its count of presses."""
+
+    gel_id: BundleId
+    slab_thickness_mm: Annotated[float, msgspec.Meta(gt=0, le=100)]
+    presses: Count = 0
+
+
+class MountedGel(Record, frozen=True, tag_field="schema", tag="retrograph.mounted-gel/1"):
+    """The gel that the operator said is mounted."""
+
+    gel_id: BundleId
+
+
+GELS: Final = RecordFile(GelRecord, "gels/{}.json", _REMEDY)
+MOUNTED: Final = RecordFile(MountedGel, "mounted-gel.json", _REMEDY)
+
+
+def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
+    """The mounted gel: the one that was named last, else the board's own.
+
+    Raises
+    ------
+    RecordError
+        A file is damaged.
+    """
+    mounted = MOUNTED.read(root)
+    gel_id = mounted.gel_id if mounted else usual.id
+    return known_gel(root, gel_id) or GelRecord(gel_id=gel_id, slab_thickness_mm=usual.slab_thickness_mm)
+
+
+def known_gel(root: Path, gel_id: str) -> GelRecord | None:
+    """The record of a gel, None when it was never mounted. Errors as for `mounted_gel`."""
+    return GELS.read(root, gel_id)
+
+
+def known_gels(root: Path) -> tuple[GelRecord, ...]:
+    """Every gel that was mounted here, by name; damaged files are left out."""
+    return tuple(GELS.all_sound(root))
+
+
+def mount_gel(root: Path, gel: GelRecord) -> None:
+    """Store that this gel is mounted.
+
+    Raises
+    ------
+    StoreError
+        The disk refused.
+    """
+    GELS.write(root, gel, gel.gel_id)
+    MOUNTED.write(root, MountedGel(gel_id=gel.gel_id))
+
+
+def count_gel_press(root: Path, usual: GelConfig) -> GelRecord:
+    """The mounted gel after one more press, stored. Errors as for `mounted_gel` and `mount_gel`."""
+    gel = mounted_gel(root, usual)
+    pressed = msgspec.structs.replace(gel, presses=gel.presses + 1)
+    GELS.write(root, pressed, gel.gel_id)
+    return pressed
+
+
+def make_gel(gel_id: str, slab_thickness_mm: float) -> GelRecord:
+    """A gel of that name and thickness.
+
+    Raises
+    ------
+    RecordError
+        The name or the thickness is out of range.
+    """
+    try:
+        return msgspec.json.decode(
+            encode_record(GelRecord(gel_id=gel_id, slab_thickness_mm=slab_thickness_mm)), type=GelRecord
+        )
+    except msgspec.ValidationError as error:
+        raise RecordError(
+            f"gel {gel_id!r}: use lower-case letters, digits and hyphens, and a thickness over 0 and up to 100 mm"
+        ) from error

@@ -18,9 +18,8 @@ from device.bundles.receipt import Receipt
 from device.bundles.record import Record
 from device.bundles.scan import ScanRecord
 from device.store.active import ActiveCalibration
-from device.store.choices import BalanceRecord, Presets, ScanMark, Settings, StickyAnnotations
+from device.store.choices import BalanceRecord, GelRecord, MountedGel, Presets, ScanMark, Settings, StickyAnnotations
 from device.store.device_id import DeviceState
-from device.store.gels import GelRecord, MountedGel
 from device.store.registry_file import RegistryFile
 
 _RECORDS: Final[tuple[type[Record], ...]] = (

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Final, Self
 
 from hal.board_profile import LightConfig
-from hal.drivers.uvc_choice import ChosenCamera
+from hal.drivers.camera_uvc import ChosenCamera
 from hal.drivers.v4l2_stack import CONTROLS
 from hal.errors import CameraError, LightError
 from hal.interfaces import LightFault

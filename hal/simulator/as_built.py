@@ -6,7 +6,7 @@ import msgspec
 
 from hal.board_profile import BoardProfile, TwinConfig
 from hal.errors import BoardProfileError
-from hal.simulator.blur import GEL_INDEX
+from hal.simulator.lens import GEL_INDEX
 
 
 def twin_of(profile: BoardProfile) -> BoardProfile:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from device.early_stop import STOPPED, ends_at_once
+from device.shutdown import STOPPED, ends_at_once
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

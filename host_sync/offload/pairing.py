@@ -12,8 +12,6 @@ from typing import Final
 import asyncssh
 
 from device.errors import DeviceError, RecordError
-from device.pairing.card import leave_host_card, read_device_card
-from device.pairing.channel import PairingChannel
 from device.pairing.exchange import (
     Accepted,
     Answer,
@@ -21,9 +19,12 @@ from device.pairing.exchange import (
     DeviceCard,
     HostCard,
     Opening,
+    PairingChannel,
     code_of,
     commitment_to,
     draw_number,
+    leave_host_card,
+    read_device_card,
 )
 from host_sync.errors import HostError, PairingError, SourceError
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.patheffects import withStroke
 
-from device.bundles.movie import MovieRecord
-from device.bundles.scan import ScanBundle
+from device.bundles.scan import MovieRecord, ScanBundle
 from device.imaging.flat_field import demosaic
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.iso25178.material_ratio import MaterialRatioCurve, core_line, core_parameters

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from device.quick_look.files import HEIGHT_FILE as QUICK_LOOK_FILE
+from device.quick_look.solver import HEIGHT_FILE as QUICK_LOOK_FILE
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
 from host_sync.library.labels import Label

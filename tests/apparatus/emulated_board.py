@@ -51,7 +51,7 @@ class Firmware:
 
 
 class FakeGateLine:
-    """See `hal.drivers.light_gate.SwitchedLine`: a line at the LED driver's OE or RESET, with a pull towards dark."""
+    """See `hal.drivers.chip_lights.SwitchedLine`: a line at the LED driver's OE or RESET, with a pull towards dark."""
 
     def __init__(self, leds: LedDriverModel) -> None:
         self._leds = leds

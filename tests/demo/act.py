@@ -15,7 +15,7 @@ from device.acquisition.calibrate import calibrate
 from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic
-from device.quick_look.files import PICTURE_FILE
+from device.quick_look.solver import PICTURE_FILE
 from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock

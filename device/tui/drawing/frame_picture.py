@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array
-from device.tui.drawing.cells import OWN, CellGrid, ColourDepth
-from device.tui.drawing.half_blocks import colour_cells, grey_cells
-from device.tui.drawing.resampling import fitted_shape, resampled
+from device.tui.drawing.cells import OWN, CellGrid, ColourDepth, colour_cells, fitted_shape, grey_cells, resampled
 
 Mark = Literal["found", "wanted", "refused"]
 

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 from typing import Final
 
 from device.surface.fields import HeightMap
-from device.tui.drawing.cells import CellGrid, ColourDepth
-from device.tui.drawing.legend import LEGEND_COLUMNS, legend_cells, length_bar
-from device.tui.drawing.profile import ProfileCursor, profile_cells, profile_um, reading
-from device.tui.drawing.relief import HeightRange, relief_cells
-from device.tui.drawing.resampling import fitted_shape
+from device.tui.drawing.cells import CellGrid, ColourDepth, fitted_shape
+from device.tui.drawing.relief import (
+    LEGEND_COLUMNS,
+    HeightRange,
+    ProfileCursor,
+    legend_cells,
+    length_bar,
+    profile_cells,
+    profile_um,
+    reading,
+    relief_cells,
+)
 
 PROFILE_ROWS: Final = 5
 MIN_COLUMNS: Final = 24

@@ -8,13 +8,12 @@ from typing import Final, Literal
 
 import numpy as np
 
-from device.bundles.movie import MovieRecord
+from device.bundles.scan import MovieRecord
 from device.instrument.history import ScanEntry
 from device.surface.fields import Float64Array
-from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.profile import EIGHTHS, HALVES
-from device.tui.drawing.text import local_time, sticky_text
+from device.tui.drawing.relief import EIGHTHS, HALVES
+from device.tui.drawing.text import local_time, screen_advice, sticky_text
 
 BARS: Final = 7
 """Bars of either, so that both fit in a line beside the history on a screen of 80 columns."""

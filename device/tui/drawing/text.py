@@ -1,15 +1,33 @@
-"""Numbers, states and coverage in short words for the screens."""
+"""Numbers, states and coverage in short words for the screens.
+
+Advice for the screens: what they can do themselves is named by its key or place, not by a shell command.
+
+Two points of a quick look against each other, in words.
+"""
 
 from __future__ import annotations
 
+import re
 import textwrap
 from datetime import datetime
 from typing import Final
+
+import numpy as np
 
 from device.bundles.scan import Annotations, VerdictLevel
 from device.calibration.acceptance import Check
 from device.calibration.coverage import DIRECTIONS, SIDES, Coverage
 from device.calibration.limits import PASSED_STEEPEST_DEG
+from device.quick_look.measures import (
+    Point,
+    Roughness,
+    areal_roughness,
+    difference,
+    levelled,
+    line_between,
+    line_roughness,
+)
+from device.surface.fields import HeightMap
 
 GAUGE_FULL: Final = "■"
 GAUGE_EMPTY: Final = "·"
@@ -112,3 +130,66 @@ def check_lines(checks: tuple[Check, ...]) -> list[str]:
 
 def _sign(covered: bool) -> str:
     return COVERED if covered else UNCOVERED
+
+
+_ADVICE: Final = (
+    (r"run `retroscan selftest`", "run the self-test (key 4)"),
+    (
+        r"activate a calibration again with `retroscan calibrations use ID` \(`retroscan calibrations` lists them\)",
+        "activate a calibration again (key 4, Calibrations)",
+    ),
+    (r"see `retroscan calibrations`", "choose another (key 4, Calibrations)"),
+    (r"run `retroscan calibrate --auto-exposure`", "balance it (key 4, Exposure)"),
+    (r"run `retroscan calibrate`( first| again)?", r"calibrate\1 (key 2)"),
+    (r"with `retroscan gel`", "(key 4, Change gel)"),
+    (r"run `retroscan pair`", "pair (key 4)"),
+)
+"""Patterns of command line advice, each with what the screens offer instead."""
+
+
+def screen_advice(sentence: str) -> str:
+    """The sentence with every command that the screens can do themselves replaced by key and place."""
+    for pattern, instead in _ADVICE:
+        sentence = re.sub(pattern, instead, sentence)
+    return sentence
+
+
+COVERAGE: Final = 2.0
+"""Factor of the stated ± over the standard uncertainty, as in the workstation's outputs."""
+
+
+def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> str:
+    """Height difference, distance and angle with ±, roughness of the line and of the box between two points."""
+    found = difference(height, first, second, flatness_um)
+    has_heights = bool(np.isfinite(found.dz_um))
+    dz = f"dz {found.dz_um:.1f}{_pm(found.dz_sigma_um, 1)} µm" if has_heights else "dz unknown: no height at a point"
+    parts = [
+        dz,
+        f"distance {found.distance_um / 1e3:.3f}{_pm(found.distance_sigma_um / 1e3, 3)} mm",
+        f"angle {found.angle_deg:.2f}{_pm(found.angle_sigma_deg, 2)}°" if has_heights else "",
+        _roughness("R", line_roughness(line_between(height, first, second), height.pitch_um, flatness_um)),
+        _roughness("S", areal_roughness(levelled(box_between(height, first, second)), flatness_um)),
+    ]
+    unknown = " · ± of heights: zero check first" if has_heights and found.dz_sigma_um is None else ""
+    return f"{' · '.join(part for part in parts if part)}{unknown}"
+
+
+def box_between(height: HeightMap, first: Point, second: Point) -> np.ndarray:
+    """The heights of the box with these corners, both included: float32 array of shape (h, w)."""
+    top, bottom = sorted((round(first[0]), round(second[0])))
+    left, right = sorted((round(first[1]), round(second[1])))
+    return height.z_um[top : bottom + 1, left : right + 1]
+
+
+def _pm(sigma: float | None, decimals: int) -> str:
+    return "" if sigma is None or not np.isfinite(sigma) else f" ± {COVERAGE * sigma:.{decimals}f}"
+
+
+def _roughness(letter: str, found: Roughness) -> str:
+    """ "Ra 1.20 ± 0.10 Rz 5.3 ± 0.8 µm (cut-off 0.8 mm)", P instead of R without one; empty where nothing is there."""
+    if not np.isfinite(found.mean_um) or not found.total_um:
+        return "" if found.cutoff_um is None else "Ra, Rz not stated: the line shows form and no roughness"
+    kind = "P" if letter == "R" and found.cutoff_um is None else letter
+    cutoff = "" if found.cutoff_um is None else f" (cut-off {found.cutoff_um / 1e3:g} mm)"
+    mean, total = (_pm(found.mean_sigma_um, 2), _pm(found.total_sigma_um, 1))
+    return f"{kind}a {found.mean_um:.2f}{mean} {kind}z {found.total_um:.1f}{total} µm{cutoff}"

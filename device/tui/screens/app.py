@@ -35,7 +35,7 @@ from device.instrument.instrument import Instrument
 from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.frame_rate import FrameRateLimiter
-from device.tui.drawing.measure_text import measure_text
+from device.tui.drawing.text import measure_text
 from device.tui.screens.base import InstrumentScreen
 from device.tui.screens.calibration import CalibrationScreen
 from device.tui.screens.panels import ProgramInfo
@@ -44,8 +44,8 @@ from device.tui.screens.scan import ScanScreen
 from device.tui.screens.scans import ScansScreen
 from device.tui.screens.setup import SetUpScreen
 from device.tui.screens.themes import themes_for
+from device.tui.widgets.cells_view import HeightView
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog, KeysDialog
-from device.tui.widgets.height_view import HeightView
 from device.tui.widgets.navigation import Notice, Place, place_after
 from hal.board_profile import SensorConfig
 

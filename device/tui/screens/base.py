@@ -13,8 +13,7 @@ from textual.widget import Widget
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.tui.screens.panels import state_text
-from device.tui.widgets.navigation import KeyHints, NavigationBar, Notice, NoticeLine, Place
-from device.tui.widgets.words import Words
+from device.tui.widgets.navigation import KeyHints, NavigationBar, Notice, NoticeLine, Place, Words
 
 if TYPE_CHECKING:
     from device.tui.screens.app import RetroscanApp

@@ -14,13 +14,12 @@ from device.bundles.check import COMMON_RADII_UM
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.instrument.state import LiveView as LivePicture
-from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.frame_picture import Circle
-from device.tui.drawing.text import check_lines, coverage_lines, gauge_text, hanging
+from device.tui.drawing.text import check_lines, coverage_lines, gauge_text, hanging, screen_advice
 from device.tui.screens.base import InstrumentScreen
-from device.tui.widgets.live_view import LiveView
-from device.tui.widgets.words import Words
+from device.tui.widgets.cells_view import LiveView
+from device.tui.widgets.navigation import Words
 
 RADII_MM: Final = tuple(radius_um * 1e-3 for radius_um in COMMON_RADII_UM)
 """Radii to choose from; never typed."""

@@ -15,19 +15,16 @@ from textual.widget import Widget
 from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
 from device.guidance.cover_task import MAX_AREA_MM
-from device.guidance.reading import Advice
+from device.guidance.guide import Advice
 from device.instrument.alarms import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import Activity, AreaState, InstrumentState, LastScan, SpotState
-from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.text import gauge_text, sticky_text, verdict_word
+from device.tui.drawing.text import gauge_text, screen_advice, sticky_text, verdict_word
 from device.tui.screens.base import AREA_LEFT, SPOT_LEFT, InstrumentScreen
+from device.tui.widgets.cells_view import HeightView, LiveView
 from device.tui.widgets.dialogs import ChoiceDialog, FieldsDialog
-from device.tui.widgets.height_view import HeightView
-from device.tui.widgets.live_view import LiveView
-from device.tui.widgets.navigation import Notice
-from device.tui.widgets.words import Words
+from device.tui.widgets.navigation import Notice, Words
 
 _VERDICT_STYLE = {"good": "$success bold", "doubtful": "$warning bold", "retake": "$error bold"}
 

@@ -16,15 +16,13 @@ from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.store.choices import Opinion
 from device.surface.fields import HeightMap
-from device.tui.drawing.advice import screen_advice
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.history_lines import ORDERS, Order, chosen_scans, details_of, scan_line
+from device.tui.drawing.text import screen_advice
 from device.tui.screens.base import SPOT_LEFT, InstrumentScreen
-from device.tui.widgets.dialogs import FieldsDialog
-from device.tui.widgets.height_view import HeightView
-from device.tui.widgets.line_list import LineList
-from device.tui.widgets.navigation import Notice
-from device.tui.widgets.words import Words
+from device.tui.widgets.cells_view import HeightView
+from device.tui.widgets.dialogs import FieldsDialog, LineList
+from device.tui.widgets.navigation import Notice, Words
 
 FIND_HINT = "For example: lid doubtful, #12, unsent, marked bad, 2026-11; nothing: all scans"
 HEADING = "     # verdict  mark sent part"

@@ -15,20 +15,23 @@ from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import InstrumentState
-from device.store.gels import make_gel
+from device.store.choices import make_gel
 from device.store.registry import RegisteredCalibration
 from device.store.stick import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen
-from device.tui.screens.exposure_panel import exposure_panel
-from device.tui.screens.machine_actions import MachineActions
-from device.tui.screens.panels import check_panel, focus_panel, instrument_panel, pairing_panel, selftest_panel
-from device.tui.screens.setup_actions import SETUP_ACTIONS, SetupAction
-from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, FieldsDialog
-from device.tui.widgets.line_list import ChoiceList
-from device.tui.widgets.navigation import Notice
-from device.tui.widgets.words import Words
+from device.tui.screens.machine_actions import SETUP_ACTIONS, MachineActions, SetupAction
+from device.tui.screens.panels import (
+    check_panel,
+    exposure_panel,
+    focus_panel,
+    instrument_panel,
+    pairing_panel,
+    selftest_panel,
+)
+from device.tui.widgets.dialogs import ChoiceDialog, ChoiceList, ConfirmDialog, FieldsDialog
+from device.tui.widgets.navigation import Notice, Words
 
 Read = TypeVar("Read")
 

@@ -1,21 +1,35 @@
-"""The base of widgets that draw a grid of cells."""
+"""The base of widgets that draw a grid of cells.
+
+The widget that shows the live picture with circles on it.
+
+The widget that shows a height map: relief and scale, and a profile under a cursor that keys and touch move.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.color import Color, ColorType
 from rich.segment import Segment
 from rich.style import Style
-from textual.events import Resize
-from textual.geometry import Region
+from textual.binding import Binding, BindingType
+from textual.events import Click, Resize
+from textual.geometry import Region, Size
+from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
-from device.tui.drawing.cells import OWN, CellGrid, ColourDepth
-from device.tui.drawing.height_picture import Room
+from device.quick_look.measures import Point, levelled
+from device.surface.fields import Float32Array, HeightMap
+from device.tui.drawing.cells import OWN, CellGrid, ColourDepth, fitted_shape
+from device.tui.drawing.frame_picture import Circle, frame_cells, shown_colours
+from device.tui.drawing.height_picture import Room, height_picture, picture_rows, relief_shape, sentence_cells
+from device.tui.drawing.relief import ProfileCursor
 
 
 class CellsView(Widget):
@@ -106,3 +120,240 @@ def _colour(colour: int, full: bool) -> Color | None:
     if full:
         return Color.from_rgb(colour >> 16, colour >> 8 & 255, colour & 255)
     return Color(f"color({colour})", ColorType.STANDARD, number=colour)
+
+
+class LiveView(CellsView):
+    """The live picture, or a sentence without one; parameters as for `CellsView`."""
+
+    def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
+        super().__init__(depth, below, id=id)
+        self._picture: NDArray[np.uint8] | None = None
+        self._circles: tuple[Circle, ...] = ()
+        self._colours: Float32Array | None = None
+        self._sentence = "Waiting for the camera."
+
+    def show(self, picture: NDArray[np.uint8] | None, circles: tuple[Circle, ...] = (), sentence: str = "") -> None:
+        """Show a picture, uint8 array of shape (h, w, 3), with circles; or the sentence that says why it is missing."""
+        if (picture is self._picture, circles, sentence) == (True, self._circles, self._sentence):
+            return
+        before, self._picture = self._picture, picture
+        self._circles, self._sentence = circles, sentence
+        shapes = [None if shown is None else shown.shape for shown in (before, picture)]
+        if picture is None or shapes[0] != shapes[1]:
+            self._colours = None
+            self.redraw(layout=shapes[0] != shapes[1])
+        else:
+            self.redraw_changes()
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
+        """The picture's height, so that the next widget follows directly."""
+        rows = max(container.height - self._below, 1)
+        return rows if self._picture is None else fitted_shape(self._picture.shape[:2], rows, max(width, 1))[0]
+
+    def draw(self, room: Room) -> CellGrid:
+        """The picture centred in the room, or the sentence."""
+        if self._picture is None:
+            return sentence_cells(self._sentence, room)
+        self._colours = shown_colours(self._picture, max(room.rows, 1), max(room.columns, 1), self._colours)
+        picture = frame_cells(self._colours, room.depth, self._circles)
+        cells = CellGrid.empty(room.rows, room.columns, room.depth)
+        cells.blit(0, max((room.columns - picture.shape[1]) // 2, 0), picture)
+        return cells
+
+
+_STEP: Final = 1.0 / 48.0
+_CURSOR_ACTIONS: Final = frozenset({"turn", "move", "hold", "level", "zoom"})
+
+MIN_SHOWN_PX: Final = 16
+"""Zoomed in as far as possible, so many pixels of the quick look are shown on its shorter side."""
+
+
+class HeightView(CellsView, can_focus=True):
+    """A height map, or a sentence without one; parameters as for `CellsView`."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("p", "profile", "profile"),
+        Binding("v", "view", "picture", show=False),
+        Binding("t", "turn", "turn it", show=False),
+        Binding("c", "hold", "hold point, measure from it", show=False),
+        Binding("l", "level", "level", show=False),
+        Binding("plus", "zoom(2)", "zoom in", show=False, key_display="+"),
+        Binding("minus", "zoom(0.5)", "zoom out", show=False, key_display="-"),
+        Binding("up", "move(-1, 0)", show=False),
+        Binding("down", "move(1, 0)", show=False),
+        Binding("left", "move(0, -1)", show=False),
+        Binding("right", "move(0, 1)", show=False),
+    ]
+
+    @dataclass
+    class ProfileSwitched(Message):
+        """The profile, which uses the arrow keys, was shown or hidden."""
+
+        is_shown: bool
+
+    @dataclass
+    class PictureWanted(Message):
+        """The map should be shown in pixels."""
+
+        height: HeightMap
+
+    @dataclass
+    class Measured(Message):
+        """The point that was held and the present one, rows and columns in pixels of the map."""
+
+        height: HeightMap
+        first: Point
+        second: Point
+
+    def __init__(self, depth: ColourDepth, below: int = 0, *, id: str | None = None) -> None:  # noqa: A002
+        super().__init__(depth, below, id=id)
+        self._height: HeightMap | None = None
+        self._sentence = ""
+        self._cursor: ProfileCursor | None = None
+        self._held: Point | None = None
+        self._level: HeightMap | None = None
+        self._zoom = 1.0
+
+    def show(self, height: HeightMap | None, sentence: str = "") -> None:
+        """Show a map, or the sentence that says why it is missing."""
+        if height is self._height and sentence == self._sentence:
+            return
+        self._height, self._sentence = height, sentence
+        self._held, self._level, self._zoom = None, None, 1.0
+        self._redraw()
+
+    def action_profile(self) -> None:
+        """Show or hide the profile."""
+        self._cursor = None if self._cursor else ProfileCursor()
+        self._held, self._zoom = None, 1.0
+        self.post_message(self.ProfileSwitched(self._cursor is not None))
+        self._redraw()
+
+    def action_view(self) -> None:
+        """Ask for the relief in pixels."""
+        if self._height is not None:
+            self.post_message(self.PictureWanted(self._height))
+
+    def action_turn(self) -> None:
+        """Turn the line by 90 degrees."""
+        if self._cursor:
+            self._cursor = self._cursor.turned()
+            self._redraw()
+
+    def action_hold(self) -> None:
+        """Hold the point, so that later ones are measured against it; again: let it go."""
+        self._held = None if self._held else self._point()
+        self._measure()
+
+    def action_level(self) -> None:
+        """Show and measure heights above the map's mean plane, or as they are again."""
+        if self._height is not None:
+            raw = self._height
+            self._level = None if self._level else HeightMap(levelled(raw.z_um), raw.pitch_um)
+            self._redraw()
+            self._measure()
+
+    def action_zoom(self, factor: float) -> None:
+        """Show less of the map about the cursor, down to single pixels, or more."""
+        if self._height is not None:
+            most = max(min(self._height.z_um.shape) / MIN_SHOWN_PX, 1.0)
+            self._zoom = min(max(self._zoom * factor, 1.0), most)
+            self._redraw()
+
+    def action_move(self, down: int, right: int) -> None:
+        """Move the cursor's point by a step."""
+        if self._cursor:
+            across, along = (down, right) if self._cursor.axis == "row" else (right, down)
+            step = _STEP / self._zoom
+            self._cursor = self._cursor.moved(across * step, along * step)
+            self._redraw()
+            self._measure()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Enable the cursor's keys only while it is shown over a map."""
+        if action == "profile":
+            return self._height is not None
+        shown = self._cursor is not None and self._height is not None
+        return shown if action in _CURSOR_ACTIONS else super().check_action(action, parameters)
+
+    def on_click(self, event: Click) -> None:
+        """Move the cursor to the touched place of the relief."""
+        if self._height is None:
+            return
+        cursor, shown = self._cursor or ProfileCursor(), self._shown()
+        rows, columns = relief_shape(shown, self.room(self.size.height, self.size.width), cursor)
+        row, column = event.y / max(rows - 1, 1), event.x / max(columns - 1, 1)
+        if row <= 1.0 and column <= 1.0:
+            row, column = self._whole(row, column)
+            line, point = (row, column) if cursor.axis == "row" else (column, row)
+            self._cursor = ProfileCursor(cursor.axis, line, point)
+            self._redraw()
+            self._measure()
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
+        """The picture's height, so that the next widget follows directly."""
+        room = self.room(max(container.height - self._below, 1), max(width, 1))
+        return room.rows if self._height is None else picture_rows(self._shown(), room, self._cursor)
+
+    def draw(self, room: Room) -> CellGrid:
+        """The picture of the map, or the sentence."""
+        if self._height is None:
+            return sentence_cells(self._sentence, room)
+        origin = self._window()[:2] if self._zoom > 1.0 else (0, 0)
+        return height_picture(self._shown(), room, self._shown_cursor(), origin)
+
+    def _map(self) -> HeightMap:
+        """The map, levelled if that is wanted."""
+        found = self._level or self._height
+        if found is None:
+            raise ValueError("there is no map")
+        return found
+
+    def _point(self) -> Point:
+        """The cursor's point, row and column in pixels of the map."""
+        cursor = self._cursor or ProfileCursor()
+        row, column = (cursor.line, cursor.point) if cursor.axis == "row" else (cursor.point, cursor.line)
+        rows, columns = self._map().z_um.shape
+        return float(round(row * (rows - 1))), float(round(column * (columns - 1)))
+
+    def _window(self) -> tuple[int, int, int, int]:
+        """First row and column, and size, of what is shown: about the cursor, within the map."""
+        rows, columns = self._map().z_um.shape
+        height, width = max(round(rows / self._zoom), 2), max(round(columns / self._zoom), 2)
+        row, column = self._point()
+        top = min(max(round(row) - height // 2, 0), rows - height)
+        left = min(max(round(column) - width // 2, 0), columns - width)
+        return top, left, height, width
+
+    def _shown(self) -> HeightMap:
+        """The part of the map that is shown."""
+        found = self._map()
+        if self._zoom <= 1.0:
+            return found
+        top, left, height, width = self._window()
+        return HeightMap(found.z_um[top : top + height, left : left + width], found.pitch_um)
+
+    def _shown_cursor(self) -> ProfileCursor | None:
+        """The cursor on the part that is shown."""
+        if self._cursor is None or self._zoom <= 1.0:
+            return self._cursor
+        (row, column), (top, left, height, width) = self._point(), self._window()
+        down, right = (row - top) / max(height - 1, 1), (column - left) / max(width - 1, 1)
+        line, point = (down, right) if self._cursor.axis == "row" else (right, down)
+        return ProfileCursor(self._cursor.axis, line, point)
+
+    def _whole(self, row: float, column: float) -> tuple[float, float]:
+        """A place on the shown part, fractions, as fractions of the whole map."""
+        if self._zoom <= 1.0:
+            return row, column
+        top, left, height, width = self._window()
+        rows, columns = self._map().z_um.shape
+        return (top + row * (height - 1)) / max(rows - 1, 1), (left + column * (width - 1)) / max(columns - 1, 1)
+
+    def _measure(self) -> None:
+        if self._held is not None and self._held != self._point():
+            self.post_message(self.Measured(self._map(), self._held, self._point()))
+
+    def _redraw(self) -> None:
+        self.redraw(layout=True)
+        self.refresh_bindings()

@@ -1,4 +1,7 @@
-"""The bars that every screen has: screens and device name at the top, the last notice, the keys at the bottom."""
+"""The bars that every screen has: screens and device name at the top, the last notice, the keys at the bottom.
+
+Words on a screen that are drawn only when they change: a state is shown ten times a second and rarely differs.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,24 @@ from textual.containers import Horizontal
 from textual.content import Content
 from textual.events import Click
 from textual.screen import Screen
+from textual.visual import VisualType
 from textual.widgets import Static
 
-from device.tui.drawing.advice import screen_advice
-from device.tui.widgets.words import Words
+from device.tui.drawing.text import screen_advice
+
+
+class Words(Static):
+    """A static text; parameters as for `Static`."""
+
+    _said: tuple[object, ...] | None = None
+
+    def update(self, content: VisualType = "", *, layout: bool = True) -> None:
+        """Show other words; the same ones cost nothing."""
+        said = (content.plain, *content.spans) if isinstance(content, Content) else (content,)
+        if said != self._said:
+            self._said = said
+            super().update(content, layout=layout)
+
 
 Place = Literal["scan", "calibrate", "scans", "set-up"]
 

@@ -20,8 +20,7 @@ from device.surface.fields import Float32Array
 from hal.board_profile import BoardProfile, TwinConfig
 from hal.frame import RawFrame
 from hal.simulator.lens import Lens
-from hal.simulator.optics import SkinGeometry, skin_geometry
-from hal.simulator.scene import expose, light_on_skin, mosaic_weights, native_order
+from hal.simulator.scene import SkinGeometry, expose, light_on_skin, mosaic_weights, native_order, skin_geometry
 from tests.benchmarks.accuracy.pattern import Patch
 
 POINTS: Final = 4

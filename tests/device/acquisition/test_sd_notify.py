@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from device.acquisition.sd_notify import SdNotify
-from device.cli.headless import run_headless
+from device.cli.instrument_commands import run_headless
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.hardware import Hardware

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from device.balls.quiet_intensity import quiet_intensity
-from device.balls.sphere import Ball, BallSamples, gather_samples, pixels_inside, sphere_slopes
+from device.balls.sphere import Ball, BallSamples, gather_samples, pixels_inside, quiet_intensity, sphere_slopes
 from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
 

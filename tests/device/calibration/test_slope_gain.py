@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from device.calibration.held_out_readings import HeldOutReadings
-from device.calibration.slope_gain import gains_of_balls, slope_gains
+from device.calibration.slope_gain import HeldOutReadings, gains_of_balls, slope_gains
 
 
 def readings(gain: float, *, noise: float = 0.02, centre: float = 0.0, balls: int = 12) -> HeldOutReadings:

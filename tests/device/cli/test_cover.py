@@ -11,10 +11,9 @@ import pytest
 
 from device.acquisition.capture import capture
 from device.acquisition.scanner import Scanner
-from device.cli.cover import NOT_COVERED
+from device.cli.guide import NOT_COVERED
 from device.cli.main import main
-from device.guidance.cover_task import CoverTask
-from device.guidance.covering import Stand
+from device.guidance.cover_task import CoverTask, Stand
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore

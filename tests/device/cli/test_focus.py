@@ -10,7 +10,7 @@ import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.cli.main import main
-from device.imaging.focus import focus_figure
+from device.imaging.frame_measures import focus_figure
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.frame import CameraSettings, RawFrame

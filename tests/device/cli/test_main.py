@@ -15,14 +15,11 @@ from limits import running
 import device.cli.demo
 import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
-from device.cli.board import chosen_board
-from device.cli.commands import OLD_COMMANDS
 from device.cli.demo import folder_name
-from device.cli.main import app, main
+from device.cli.main import OLD_COMMANDS, app, chosen_board, main
 from device.instrument.demo_faults import DemoFaults
 from device.instrument.instrument import Instrument
-from device.pairing.card import leave_host_card, read_device_card
-from device.pairing.exchange import HostCard
+from device.pairing.exchange import HostCard, leave_host_card, read_device_card
 from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock

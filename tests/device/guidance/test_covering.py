@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from device.guidance.covering import Covering, Stand
+from device.guidance.cover_task import Covering, Stand
 from device.guidance.placement import Unplaced
 from tests.device.guidance.hand_presses import Relief
 

@@ -7,9 +7,7 @@ import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.scanner import Scanner
-from device.guidance.downsample import MAX_COLUMNS, downsample_bayer, downsample_step
-from device.guidance.guide import GuideModel, PressGuide
-from device.guidance.reading import GuideReading
+from device.guidance.guide import MAX_COLUMNS, GuideModel, GuideReading, PressGuide, downsample_bayer, downsample_step
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.simulator.bench import Faults, SimulatedScene

@@ -10,10 +10,10 @@ from device.acquisition.auto_exposure import AIMED_LEVEL
 from device.acquisition.capture import CaptureSettings
 from device.acquisition.gel_profile import calibration_settings, with_active_gel
 from device.bundles.scan import VerdictRecord
-from device.instrument.balance_run import KEPT, STOPPED
+from device.instrument.calibration_run import KEPT, STOPPED
 from device.instrument.events import Failed, Info, ScanFinished
 from device.instrument.instrument import Instrument
-from device.instrument.live_figure import MAX_READING_S
+from device.instrument.live import MAX_READING_S
 from device.instrument.worker import NOT_NOW
 from device.store.choices import BALANCE
 from device.store.store import BundleStore

@@ -7,10 +7,10 @@ from dataclasses import replace
 import cv2
 import pytest
 
-from device.imaging.focus import IS_SHARP, NEAR_BEST, SEARCH, TURN_BACK, FocusReading
+from device.imaging.frame_measures import IS_SHARP, NEAR_BEST, SEARCH, TURN_BACK, FocusReading
 from device.instrument.events import Failed, Info
 from device.instrument.instrument import Instrument
-from device.instrument.live_figure import MAX_READING_S
+from device.instrument.live import MAX_READING_S
 from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock

@@ -12,7 +12,7 @@ from fake_gpio import Edge
 import device.cli.instrument_commands
 from device.acquisition.sd_notify import POWER_OFF_FILE
 from device.acquisition.selftest import selftest
-from device.cli.headless import run_headless
+from device.cli.instrument_commands import run_headless
 from device.cli.main import main
 from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument

@@ -27,10 +27,19 @@ from device.instrument.events import (
 )
 from device.instrument.instrument import Instrument
 from device.instrument.state import PairingState
-from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Accepted, Answer, Call, HostCard, Opening, code_of, commitment_to, draw_number
+from device.pairing.exchange import (
+    Accepted,
+    Answer,
+    Call,
+    HostCard,
+    Opening,
+    PairingChannel,
+    code_of,
+    commitment_to,
+    draw_number,
+)
 from device.pairing_service.service import PairingSetup
-from device.store.gels import make_gel, mount_gel
+from device.store.choices import make_gel, mount_gel
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from device.acquisition import selftest as self_test
 from device.acquisition.selftest import selftest
 from device.cli.service import status_line
 from device.instrument.events import Failed
 from device.instrument.instrument import Instrument
-from device.io import root_overlay
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 
@@ -20,14 +20,14 @@ OVERLAY = "sysfs /sys sysfs rw 0 0\noverlayroot / overlay rw,lowerdir=/media/roo
 @pytest.fixture(autouse=True)
 def proc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "self").mkdir()
-    monkeypatch.setattr(root_overlay, "PROC", tmp_path)
+    monkeypatch.setattr(self_test, "PROC", tmp_path)
     return tmp_path
 
 
 def boot(proc: Path, command_line: str, mounts: str) -> str | None:
     (proc / "cmdline").write_text(command_line)
     (proc / "self/mounts").write_text(mounts)
-    return root_overlay.root_fault()
+    return self_test.root_fault()
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_a_writable_root_is_named_by_status_journal_and_selftest(
 ) -> None:
     assert "root file system" not in [finding.part for finding in selftest(hardware)]
     fault = boot(proc, ASKED, EXT4)
-    assert fault == root_overlay.WRITABLE
+    assert fault == self_test.WRITABLE
     with Instrument(hardware, calibrated) as instrument:
         instrument.step()
         assert status_line(instrument.state).endswith(f"; {fault}")
@@ -58,4 +58,4 @@ def test_a_writable_root_is_named_by_status_journal_and_selftest(
 
 
 def test_what_is_no_linux_has_no_such_root() -> None:
-    assert root_overlay.root_fault() is None
+    assert self_test.root_fault() is None

@@ -8,7 +8,7 @@ import pytest
 from emulated_board import EmulatedBoard, emulated_hardware
 from limits import join
 
-from device.cli.headless import run_headless
+from device.cli.instrument_commands import run_headless
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.drivers import camera_pipeline

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.imaging.flat_field import NormalizedImage
-from device.quality.lights import border_levels, light_complaint
+from device.quality.verdict import border_levels, light_complaint
 
 NAMES = ("red", "green", "blue")
 

@@ -14,7 +14,7 @@ from device.quick_look.measures import (
     mean_line,
 )
 from device.surface.fields import HeightMap
-from device.tui.drawing.measure_text import measure_text
+from device.tui.drawing.text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.profile_filter import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters

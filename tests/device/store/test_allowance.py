@@ -11,7 +11,6 @@ import pytest
 from device.bundles.receipt import Receipt, receipt_name
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle
-from device.store import allowance
 from device.store.store import BundleStore
 
 
@@ -60,7 +59,7 @@ def test_what_floods_the_receipts_is_removed_and_receipts_stay(
 def test_an_inbox_beyond_its_limits_loses_the_largest_and_keeps_what_was_pushed(
     store: BundleStore, scan: ScanBundle, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(allowance, "MAX_INBOX_BYTES", 4 << 20)
+    monkeypatch.setattr(store, "MAX_INBOX_BYTES", 4 << 20)
     inbox = store.root / "inbox"
     (inbox / "pushed").mkdir()
     (inbox / "pushed" / "model.npz").write_bytes(bytes(1 << 20))
@@ -75,7 +74,7 @@ def test_an_inbox_beyond_its_limits_loses_the_largest_and_keeps_what_was_pushed(
     for number in range(100):
         (inbox / f"empty-{number}").mkdir()
     store.make_room(1)
-    assert len(list(inbox.iterdir())) == allowance.MAX_INBOX_ENTRIES
+    assert len(list(inbox.iterdir())) == store.MAX_INBOX_ENTRIES
     assert scan.directory.is_dir()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import device
-from device.tui.drawing.advice import screen_advice
+from device.tui.drawing.text import screen_advice
 
 ON_SCREENS = re.compile(r"`retroscan (calibrate|selftest|gel|calibrations|pair|list|scan|tui)\b(?! --auto-exposure)")
 DEVICE = Path(device.__file__).parent

@@ -5,13 +5,21 @@ import pytest
 from console_font import DRAWN
 
 from device.surface.fields import HeightMap
-from device.tui.drawing.cells import OWN
-from device.tui.drawing.half_blocks import HATCH
+from device.tui.drawing.cells import HATCH, OWN, fitted_shape, resampled
 from device.tui.drawing.height_picture import Room, height_picture
-from device.tui.drawing.legend import height_text, length_bar, length_text, round_step, ticks
-from device.tui.drawing.profile import ProfileCursor, profile_cells, profile_um, reading
-from device.tui.drawing.relief import HeightRange, relief_cells
-from device.tui.drawing.resampling import fitted_shape, resampled
+from device.tui.drawing.relief import (
+    HeightRange,
+    ProfileCursor,
+    height_text,
+    length_bar,
+    length_text,
+    profile_cells,
+    profile_um,
+    reading,
+    relief_cells,
+    round_step,
+    ticks,
+)
 
 
 def dome(rows: int = 96, columns: int = 128, pitch_um: float = 50.0) -> HeightMap:

@@ -9,7 +9,7 @@ from textual.app import App, ComposeResult
 from textual.geometry import Region
 
 from device.tui.drawing.frame_picture import shown_colours
-from device.tui.widgets.live_view import LiveView
+from device.tui.widgets.cells_view import LiveView
 
 SHAPE = (96, 128, 3)
 

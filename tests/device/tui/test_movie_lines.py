@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from device.bundles.movie import MovieFrameRecord, MovieRecord
+from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.history_lines import BARS, movie_text
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from device.instrument.live import PERIOD_S, SLEEP_AFTER_S, UNSEEN_PERIOD_S
-from device.tui.widgets.navigation import KeyHint
-from device.tui.widgets.words import Words
+from device.tui.widgets.navigation import KeyHint, Words
 
 Stage = Any
 

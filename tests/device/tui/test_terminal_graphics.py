@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import HeightMap
-from device.tui.drawing.graphics_protocols import encoded, graphics_of
-from device.tui.screens.picture_viewer import INVALID, picture_text, relief_picture
+from device.tui.screens.picture_viewer import INVALID, encoded, graphics_of, picture_text, relief_picture
 
 
 @pytest.mark.parametrize(

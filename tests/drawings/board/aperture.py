@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from hal.board_profile import load_board_profile
-from hal.simulator.blur import Blur, blur_of
+from hal.simulator.lens import Blur, blur_of
 
 BOARDS = ("pi5-imx296", "pi4-imx477-binned")
 

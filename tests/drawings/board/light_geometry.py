@@ -1,6 +1,6 @@
 """Effect of elevation, spacing, distance and paint on slope range and gain: tables for board/light-geometry.md.
 
-Every figure comes from the twin's own physics of light on the skin (`hal.simulator.optics`), for single points of the
+Every figure comes from the twin's own physics of light on the skin (`hal.simulator.scene`), for single points of the
 skin with any slope. Slope noise is the bound set by photon and read noise (Cramér-Rao): three intensities, two
 unknowns, each channel exposed so that its brightest pixel on slopes up to 40 degrees reaches 90 % of the full well.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.simulator.lens import Lens
-from hal.simulator.optics import SkinGeometry, coat, radiance
+from hal.simulator.scene import SkinGeometry, coat, radiance
 
 FULL_WELL_E: Final = 10_000.0
 READ_NOISE_E: Final = 3.0

@@ -3,7 +3,7 @@
 import pytest
 
 from hal.clock import VirtualClock
-from hal.drivers.button_keyboard import KEY_HELD_S, KeyboardButton
+from hal.drivers.usb_hardware import KEY_HELD_S, KeyboardButton
 from hal.errors import ButtonError
 from hal.interfaces import ButtonPress
 

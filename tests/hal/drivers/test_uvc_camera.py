@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from fake_v4l2 import CARD, FakeVideo, encoded, usb_sensor, uvc_profile
 
-from hal.drivers.camera_uvc import WHITE_DN, UvcCamera, decoded, mosaic_of
-from hal.drivers.uvc_choice import ChosenCamera
+from hal.drivers.camera_uvc import WHITE_DN, ChosenCamera, UvcCamera, decoded, mosaic_of
 from hal.drivers.v4l2_stack import StreamFormat, VideoInfo
 from hal.errors import BoardProfileError, CameraError, FrameTimeout, LightError
 from hal.frame import CameraSettings

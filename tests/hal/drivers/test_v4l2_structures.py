@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hal.drivers import v4l2_structures as ours
+from hal.drivers import v4l2_kernel as ours
 from hal.drivers.v4l2_stack import CONTROLS
 
 HEADER = Path("/usr/include/linux/videodev2.h")

@@ -5,7 +5,7 @@ import pytest
 
 from hal.board_profile import BoardProfile
 from hal.simulator.lens import Lens
-from hal.simulator.optics import coat, radiance, skin_geometry, visible_fraction
+from hal.simulator.scene import coat, radiance, skin_geometry, visible_fraction
 
 LIGHT_MM = (18.0, 5.0, 12.5)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from device.bundles.movie import MovieFrameRecord, MovieRecord
+from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.surface.fields import HeightMap
 from host_sync.report.content import Picture, Report
 from host_sync.report.html_page import html_page

@@ -17,11 +17,26 @@ import msgspec
 import pytest
 
 from device.errors import PairingRefused, RecordError
-from device.pairing.card import leave_device_card, take_host_cards
-from device.pairing.channel import PairingChannel
-from device.pairing.exchange import Accepted, Answer, Call, DeviceCard, Opening, commitment_to, draw_number
-from device.pairing_service.authorized_keys import authorize, read_host_key
-from device.pairing_service.service import PairingSetup, fingerprint_of, how_to_call, open_pairing_window
+from device.pairing.exchange import (
+    Accepted,
+    Answer,
+    Call,
+    DeviceCard,
+    Opening,
+    PairingChannel,
+    commitment_to,
+    draw_number,
+    leave_device_card,
+    take_host_cards,
+)
+from device.pairing_service.service import (
+    PairingSetup,
+    authorize,
+    fingerprint_of,
+    how_to_call,
+    open_pairing_window,
+    read_host_key,
+)
 from device.pairing_service.window import READING_S, PairingWindow
 from device.store.store import BundleStore
 from hal.clock import VirtualClock

@@ -16,7 +16,6 @@ import pytest
 from limits import join
 
 from device.errors import RecordError
-from device.pairing.channel import PairingChannel
 from device.pairing.exchange import (
     Accepted,
     Answer,
@@ -24,11 +23,12 @@ from device.pairing.exchange import (
     DeviceCard,
     HostCard,
     Opening,
+    PairingChannel,
     code_of,
     commitment_to,
     draw_number,
 )
-from device.pairing_service.authorized_keys import authorize
+from device.pairing_service.service import authorize
 from device.pairing_service.window import READING_S, PairingWindow
 from hal.clock import VirtualClock
 from host_sync.errors import HostError
