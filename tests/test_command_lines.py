@@ -18,7 +18,7 @@ from typed_commands import PROGRAMS, parse, split
 from device.cli.main import CALIBRATIONS
 from device.cli.main import COMMANDS as OF_THE_HANDHELD
 from device.command_line import Command
-from host_sync.cli.commands import COMMANDS as OF_THE_WORKSTATION
+from host_sync.cli.main import COMMANDS as OF_THE_WORKSTATION
 
 TABLES = (
     ("retroscan", OF_THE_HANDHELD),

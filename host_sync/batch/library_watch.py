@@ -181,7 +181,7 @@ class LibraryWatch:
     def _measured(self, outcome: ScanOutcome, folder: Path) -> ScanOutcome:
         """Write the measurement of a scan's results; the outcome says why if that is not possible."""
         from host_sync.measurement.measure import measure_result
-        from host_sync.measurement.measurement_text import as_record
+        from host_sync.measurement.measurement import as_record
 
         self._tell(f"{outcome.scan[-10:]}: measuring")
         try:

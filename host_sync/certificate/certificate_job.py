@@ -14,11 +14,9 @@ from device.io.atomic import check_replaceable, write_output
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_report.report import REPORT_FILE
-from host_sync.certificate.certificate import Certificate, HashedFile, certify
-from host_sync.certificate.certificate_pages import pages_of
+from host_sync.certificate.certificate_pages import Certificate, HashedFile, certify, pages_of
 from host_sync.certificate.characteristics import CheckedSpecimen
-from host_sync.certificate.specimen_file import ScanTable, SpecimenFile, read_specimen
-from host_sync.certificate.specimen_measurement import judge, measured_quantity
+from host_sync.certificate.specimen_measurement import ScanTable, SpecimenFile, judge, measured_quantity, read_specimen
 from host_sync.errors import HostError, MeasurementError
 from host_sync.frames.frame_set import FrameSet, FrameSpec
 from host_sync.frames.frame_set_file import read_frame_set_file

@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.certificate.specimen_file import SpecimenFile
-from host_sync.certificate.specimen_measurement import SpecimenResult
+from host_sync.certificate.specimen_measurement import SpecimenFile, SpecimenResult
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm
 from host_sync.profile.profile_line import Line, profile_along

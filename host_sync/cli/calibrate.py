@@ -1,23 +1,30 @@
-"""`retrosync calibrate`: a calibration as one file; or, with certified specimens, the certificate of an instrument."""
+"""`retrosync calibrate`: a calibration as one file; or, with certified specimens, the certificate of an instrument.
+
+Calibrations as commands name them, and what is said of where each came from.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from device.bundles.calibration import read_calibration
 from device.command_line import Folder
 from device.io.atomic import check_output, write_output
-from host_sync.cli.calibrator import calibrator_for, obtain_calibration
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
-from host_sync.errors import FrameSetError
+from host_sync.errors import CalibrationFileError, FrameSetError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import read_frame
+from host_sync.library.library import Library
 
 if TYPE_CHECKING:
     from device.imaging.flat_field import LinearFrame
-    from host_sync.certificate.certificate import Certificate
+    from host_sync.calibration_file.calibrator import Calibrator
+    from host_sync.calibration_file.kept_calibration import KeptCalibration
+    from host_sync.certificate.certificate_pages import Certificate
 
 
 def calibrate_command(
@@ -87,8 +94,8 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
     """Measure the specimens and write the certificate."""
     described = load_frame_set(frame_set)
     tell_of_compiling()
-    from host_sync.certificate.certificate import verdict_words
     from host_sync.certificate.certificate_job import certificate_of_frame_set
+    from host_sync.certificate.certificate_pages import verdict_words
     from host_sync.report.writing import NO_BROWSER
 
     with status_spinner() as tell:
@@ -112,3 +119,93 @@ def _lines(certificate: Certificate) -> list[str]:
 
     specimens, characteristics, *_ = pages_of(certificate).tables
     return [" | ".join(row) for row in (*specimens.rows, *characteristics.rows)]
+
+
+Tell = Callable[[str], None]
+
+
+def calibrator_for(
+    named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None, *, paper: bool = False
+) -> Calibrator:
+    """Return the calibrator of a command: the named file, else the user's cache or the frames themselves.
+
+    facts : receives those of each calibration, instead of the output
+    paper : whether the paper's model is needed
+
+    Raises
+    ------
+    CalibrationFileError
+        The named file cannot be read, or does not hold the paper's model.
+    """
+    from host_sync.calibration_file.cache import CalibrationCache
+    from host_sync.calibration_file.calibrator import Calibrator
+
+    def obtained(kept: KeptCalibration, source: str) -> None:
+        if facts is None:
+            say_calibration(kept, source)
+        else:
+            facts.append(calibration_facts(kept, source))
+
+    if named is None:
+        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=obtained, paper=paper)
+    if named.is_dir():
+        raise CalibrationFileError(f"{named} is a folder: name a file that `retrosync calibrate` wrote")
+    tell("reading the calibration")
+    return Calibrator.of_file(named, obtained=obtained, paper=paper)
+
+
+def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bool = False) -> KeptCalibration:
+    """The calibration of that name: a file of `retrosync calibrate`, a frame set, a calibration's folder, or its id.
+
+    library : folder of pulled calibrations, of which `name` is an id or its beginning or end
+    paper : whether the paper's model is needed
+
+    Raises
+    ------
+    HostError, DeviceError
+        There is none, or it is damaged.
+    """
+    from host_sync.calibration_file.archive import is_archive
+    from host_sync.calibration_file.cache import CalibrationCache
+    from host_sync.calibration_file.calibrator import Calibrator
+
+    calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
+    path = Path(name)
+    if library is not None:
+        return calibrator.of_bundle(Library(library).find_calibration(name))
+    if path.is_dir():
+        return calibrator.of_bundle(read_calibration(path))
+    if is_archive(path):
+        tell("reading the calibration")
+        return Calibrator.of_file(path, obtained=say_source, paper=paper).named()
+    return calibrator.of_frame_set(load_frame_set(path))
+
+
+def calibration_facts(kept: KeptCalibration, source: str) -> dict[str, object]:
+    """Return which calibration is used, where it came from, and its verdict."""
+    calibration = kept.calibration
+    return {
+        "calibration_id": kept.facts.calibration_id,
+        "made_from": kept.facts.made_from,
+        "made_utc": kept.facts.made_utc,
+        "source": source,
+        "passed": calibration.assessment.passed,
+        "balls": sum(len(press.balls) for press in calibration.presses),
+        "held_out_error_deg": calibration.held_out_deg,
+        "pixel_pitch_um": calibration.pitch_um,
+        "notes": calibration.assessment.notes,
+    }
+
+
+def say_source(kept: KeptCalibration, source: str) -> None:
+    """Print which calibration is used and where it came from."""
+    print_line(f"calibration {kept.facts.calibration_id} of {kept.facts.made_from}, {source}")
+
+
+def say_calibration(kept: KeptCalibration, source: str) -> None:
+    """Print the calibration and its verdict."""
+    from host_sync.calibration_report.summary import calibration_lines
+
+    say_source(kept, source)
+    for line in calibration_lines(kept.calibration):
+        print_line(line)

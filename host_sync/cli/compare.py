@@ -86,7 +86,7 @@ def compare_command(
 
 def _compare_pixels(first: str, second: str, library: Path | None, *, json: bool) -> int:
     """Print how far two maps of the same pixels differ, a plane subtracted."""
-    from host_sync.measurement.map_difference import map_difference
+    from host_sync.measurement.foreign_file import map_difference
 
     surface, reference = (_surface(name, library) for name in (first, second))
     found = map_difference(surface.height, reference.height)

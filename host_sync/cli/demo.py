@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 from device.command_line import Folder
-from host_sync.cli.calibrator import calibrator_for
+from host_sync.cli.calibrate import calibrator_for
 from host_sync.cli.console import DONE, print_line, status_spinner, tell_of_compiling
 from host_sync.cli.view import view_command
 from host_sync.errors import HostError
@@ -46,8 +46,8 @@ def demo_command(
     open_page
         Show the results in the browser at the end, until Ctrl-C.
     """
-    from host_sync.offload.directory import DirectorySource
     from host_sync.offload.pull import pull
+    from host_sync.offload.source import DirectorySource
 
     if out.exists():
         raise HostError(f"{out} exists already: show it with `retrosync view {out}`, or name another folder with --out")
@@ -84,7 +84,7 @@ def _compiling_meanwhile() -> Iterator[None]:
     if holds_kernels():
         yield
         return
-    from host_sync.integration.compile_ahead import compile_integration
+    from host_sync.integration.integrate import compile_integration
 
     with ThreadPoolExecutor(1) as pool:
         compiled = pool.submit(compile_integration)

@@ -13,10 +13,10 @@ from host_sync.cli.console import DONE, OutputFile, print_line
 from host_sync.cli.measure import chosen_recipe, measured, write_text
 from host_sync.errors import MeasurementError
 from host_sync.library.library import Library
-from host_sync.results.replaced_scans import replacing
+from host_sync.results.doubts import replacing
 
 if TYPE_CHECKING:
-    from host_sync.gage.gage_table import GageRow
+    from host_sync.gage.gage import GageRow
     from host_sync.measurement.recipe import Recipe
 
 
@@ -58,9 +58,7 @@ def gage_command(
         raise MeasurementError("name one source: --table FILE, --plan FILE or --library LIB")
     if tolerance is not None and not 0.0 < tolerance < float("inf"):
         raise MeasurementError(f"tolerance: {tolerance:g} is not a width: give a positive number")
-    from host_sync.gage.gage import study
-    from host_sync.gage.gage_table import crossed, numbers, read_rows
-    from host_sync.gage.gage_text import study_text
+    from host_sync.gage.gage import crossed, numbers, read_rows, study, study_text
 
     doubts: list[str] = []
     if table is not None:
@@ -87,7 +85,7 @@ def gage_command(
 
 def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
     """Part, operator and newest results of each scan."""
-    from host_sync.gage.gage_table import GageRow
+    from host_sync.gage.gage import GageRow
 
     every = (scan for scan in library.scans().bundles if not replacing(scan.directory))
     scans = [library.named(name) for name in names] if names else list(every)

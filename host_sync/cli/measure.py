@@ -115,7 +115,7 @@ def measure_command(
             failed = True
             print_error(found, PARTLY)
             continue
-        from host_sync.measurement.measurement_text import as_text
+        from host_sync.measurement.measurement import as_text
 
         done.append(found)
         failed = failed or bool(found.failed) or found.fails
@@ -204,7 +204,7 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = T
 
 
 def _write_json(done: Sequence[Measurement], path: Path | None, *, on_output: bool, with_trend: bool) -> None:
-    from host_sync.measurement.measurement_text import as_record
+    from host_sync.measurement.measurement import as_record
     from host_sync.measurement.trend import trend_record
 
     records = [as_record(one) for one in done] + ([trend_record(done)] if with_trend else [])
@@ -215,7 +215,7 @@ def _write_json(done: Sequence[Measurement], path: Path | None, *, on_output: bo
 
 
 def _write_csv(done: Sequence[Measurement], path: Path, *, semicolon: bool) -> None:
-    from host_sync.measurement.measurement_text import as_csv
+    from host_sync.measurement.measurement import as_csv
 
     write_text(path, as_csv(done, semicolon=semicolon))
 

@@ -1,13 +1,17 @@
-"""`retrosync reconstruct` and `retrosync paper-figures`."""
+"""`retrosync reconstruct` and `retrosync paper-figures`.
+
+`retrosync reconstruct --watch`: reconstructs and measures whatever a pull brings.
+"""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -16,7 +20,7 @@ from device.command_line import Folder, print_json
 from device.io.atomic import check_output
 from host_sync.batch.cluster import connected
 from host_sync.batch.library_batch import ScanOutcome
-from host_sync.cli.calibrator import calibrator_for
+from host_sync.cli.calibrate import calibrator_for
 from host_sync.cli.console import (
     BAD_INPUT,
     DONE,
@@ -26,17 +30,19 @@ from host_sync.cli.console import (
     status_spinner,
     tell_of_compiling,
 )
-from host_sync.cli.watch import MAX_EVERY_S, watch_library
+from host_sync.cli.measure import chosen_recipe
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.detail import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
-from host_sync.library.library import Library
+from host_sync.library.library import Library, default_library
 from host_sync.results.files import DetailName
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from device.bundles.scan import ScanBundle
+    from host_sync.batch.library_watch import LibraryWatch
+
 
 PictureFormat = Literal["png", "pdf", "svg"]
 MethodName = Literal["direct", "paper"]
@@ -280,3 +286,47 @@ def paper_figures(
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
+
+
+MAX_EVERY_S: Final = 86_400.0
+"""A day."""
+
+
+def watch_library(library: Path | None, recipe: Path | None, workers: int | None, every_s: float, *, once: bool) -> int:
+    """Reconstruct and measure whatever comes into a library, until it is stopped; returns the exit code.
+
+    Arguments as of `retrosync reconstruct --watch`.
+    """
+    held = Library(library or default_library())
+    held.require()
+    chosen = chosen_recipe(recipe, {})
+    with status_spinner() as tell:
+        tell("loading compiled code")
+        tell_of_compiling()
+        from host_sync.batch.library_watch import LibraryWatch, only_watch
+        from host_sync.reconstruction.from_library import LibraryReconstructor
+
+        job = LibraryReconstructor(held, tell=tell, calibrator=calibrator_for(None, tell))
+        watch = LibraryWatch(held, job, chosen, workers, tell)
+        with only_watch(held):
+            while True:
+                failed = _look(watch)
+                if once:
+                    return PARTLY if failed else DONE
+                tell("waiting for scans")
+                time.sleep(every_s)
+
+
+def _look(watch: LibraryWatch) -> bool:
+    """Do what there is to do, with a line for every scan; returns whether one failed."""
+    failed = False
+    for outcome in watch.look():
+        if outcome.reason is not None:
+            failed = True
+            print_error(f"{outcome.scan}: {outcome.reason}", PARTLY)
+        else:
+            print_line(f"{outcome.folder}")
+        for words in outcome.warnings:
+            print_error(f"{outcome.scan}: doubt: {words}", PARTLY)
+        sys.stdout.flush()
+    return failed

@@ -154,7 +154,7 @@ def _entries(results: tuple[Path, ...]) -> list[Entry]:
 
 def _height(entry: Entry) -> HeightMap:
     from device.surface.fields import HeightMap
-    from host_sync.viewer.heights import Heights
+    from host_sync.viewer.entry import Heights
 
     return HeightMap(Heights().read(entry, entry.pages // 2), entry.pitch_um)
 

@@ -19,8 +19,7 @@ from host_sync.errors import HostError, ResultError
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
-    from host_sync.report.content import Picture, Report
-    from host_sync.report.template import Template
+    from host_sync.report.content import Picture, Report, Template
 
 MAX_NAME = 80
 NUMBERS_FILE = "numbers.csv"
@@ -143,7 +142,7 @@ def _report(
 
         failed = name_copies(done) or failed
         _write(compose_population(done, style, logo), out / POPULATION, browser, replace=overwrite)
-    from host_sync.measurement.measurement_text import as_csv
+    from host_sync.measurement.measurement import as_csv
 
     write_output(out / NUMBERS_FILE, as_csv(done, semicolon=semicolon).encode())
     return PARTLY if failed else DONE
@@ -162,7 +161,7 @@ def _template(path: Path | None) -> tuple[Template | None, Picture | None]:
     """The template of a file and its logo, before minutes of work."""
     if path is None:
         return None, None
-    from host_sync.report.template import read_template
+    from host_sync.report.content import read_template
 
     return read_template(path)
 

@@ -19,9 +19,8 @@ from device.surface.fields import Float32Array, Float64Array, HeightMap, surface
 from device.surface.poisson_dct import integrate_dct
 from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
 from host_sync.denoising.frame_noise import FrameNoise, root_of
-from host_sync.denoising.long_waves import shrink_but_long_waves
 from host_sync.denoising.null_colour import NullColour
-from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage
+from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage, shrink_but_long_waves
 from host_sync.results.record import SlopeNoise
 
 TILE_PX: Final = 192

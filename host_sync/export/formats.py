@@ -56,8 +56,8 @@ class Format:
 
 FORMATS: Final = {
     "gsf": Format("surface_formats:write_gsf", one_layer=True),
-    "gwy": Format("gwy:write_gwy"),
-    "x3p": Format("x3p:write_x3p", one_layer=True),
+    "gwy": Format("surface_formats:write_gwy"),
+    "x3p": Format("surface_formats:write_x3p", one_layer=True),
     "sur": Format("surface_formats:write_sur", one_layer=True),
     "sdf": Format("surface_formats:write_sdf", one_layer=True),
     "al3d": Format("surface_formats:write_al3d", one_layer=True, little_room=True),
@@ -66,10 +66,10 @@ FORMATS: Final = {
     "png": Format("array_formats:write_png16", side_writer="array_formats:write_png_scale", side_suffix="png.json"),
     "npz": Format("array_formats:write_npz"),
     "csv": Format("csv_profile:write_csv_profile"),
-    "ply": Format("mesh_formats:write_ply", is_mesh=True),
-    "stl": Format("mesh_formats:write_stl", is_mesh=True, little_room=True),
-    "obj": Format("mesh_formats:write_obj", is_mesh=True),
-    "glb": Format("mesh_formats:write_glb", is_mesh=True),
+    "ply": Format("mesh:write_ply", is_mesh=True),
+    "stl": Format("mesh:write_stl", is_mesh=True, little_room=True),
+    "obj": Format("mesh:write_obj", is_mesh=True),
+    "glb": Format("mesh:write_glb", is_mesh=True),
 }
 
 

@@ -9,16 +9,29 @@ AL3D, Alicona, version 1: tags of 52 bytes, a comment, then float32 in metres, r
 SDF of ISO 25178-71, binary, ISO-1.0: 81 bytes, then float64 in µm with their scale to metres. Invalid pixels are NaN.
 Gwyddion 2.62 takes the standard's own marker, the lowest number of the type, for a height of -1.8e308; it masks NaN, as
 surfalize does, and no program can take NaN for a height.
+
+X3P of ISO 25178-72 (ISO 5436-2): a zip with an XML record and float32 heights in metres, NaN where invalid.
+
+Rows are stored from the top down, as other writers of areal instruments do and as readers show them.
+
+Gwyddion's native format: height, uncertainty and mask of invalid pixels, float64 in metres.
+
+A mask marks pixels and does not replace their values, so invalid pixels must hold a number: the mean of the valid ones.
 """
 
 from __future__ import annotations
 
+import hashlib
 import struct
+import zipfile
+from collections.abc import Iterator
 from datetime import datetime
 from typing import BinaryIO, Final
+from xml.sax.saxutils import escape
 
 import numpy as np
 
+from device.surface.fields import Float32Array
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface, ascii_line, integer_quantum, row_blocks
 
@@ -158,3 +171,189 @@ def _moment(written_utc: str) -> bytes:
         return datetime.fromisoformat(written_utc).strftime("%d%m%Y%H%M").encode()
     except ValueError:
         return b"0" * 12
+
+
+NAMESPACE: Final = "http://www.opengps.eu/2008/ISO5436_2"
+UNKNOWN_TIME: Final = "1970-01-01T00:00:00Z"
+"""Date of a result without one: the format requires a date."""
+
+_AXIS = """      <C{axis}>
+        <AxisType>I</AxisType>
+        <DataType>D</DataType>
+        <Increment>{pitch!r}</Increment>
+        <Offset>0.0</Offset>
+      </C{axis}>
+"""
+_RECORD = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
+<p:ISO5436_2 xmlns:p="{namespace}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">
+  <Record1>
+    <Revision>ISO5436 - 2000</Revision>
+    <FeatureType>SUR</FeatureType>
+    <Axes>
+{x}{y}      <CZ>
+        <AxisType>A</AxisType>
+        <DataType>F</DataType>
+        <Increment>1.0</Increment>
+        <Offset>0.0</Offset>
+      </CZ>
+    </Axes>
+  </Record1>
+  <Record2>
+    <Date>{written}</Date>
+    <Instrument>
+      <Manufacturer>Retrograph</Manufacturer>
+      <Model>coated gel, one RGB frame</Model>
+      <Serial>not available</Serial>
+      <Version>{origin}</Version>
+    </Instrument>
+    <CalibrationDate>{written}</CalibrationDate>
+    <ProbingSystem>
+      <Type>NonContacting</Type>
+      <Identification>photometric, through a gel</Identification>
+    </ProbingSystem>
+    <Comment>{comment}</Comment>
+  </Record2>
+  <Record3>
+    <MatrixDimension>
+      <SizeX>{columns}</SizeX>
+      <SizeY>{rows}</SizeY>
+      <SizeZ>1</SizeZ>
+    </MatrixDimension>
+    <DataLink>
+      <PointDataLink>bindata/data.bin</PointDataLink>
+      <MD5ChecksumPointData>{checksum}</MD5ChecksumPointData>
+    </DataLink>
+  </Record3>
+  <Record4>
+    <ChecksumFile>md5checksum.hex</ChecksumFile>
+  </Record4>
+</p:ISO5436_2>
+"""
+
+
+def write_x3p(file: BinaryIO, surface: SourceSurface) -> None:
+    """Write the height map; the format has one field per layer, so the uncertainty is not written."""
+    data = hashlib.md5(usedforsecurity=False)
+    for block in _heights(surface):
+        data.update(block)
+    record = _RECORD.format(
+        namespace=NAMESPACE,
+        x=_AXIS.format(axis="X", pitch=surface.pitch_um * UM),
+        y=_AXIS.format(axis="Y", pitch=surface.pitch_um * UM),
+        written=escape(surface.written_utc or UNKNOWN_TIME),
+        origin=escape(surface.origin or "not available"),
+        comment=escape("; ".join((surface.name, *surface.doubts))),
+        columns=surface.columns,
+        rows=surface.rows,
+        checksum=data.hexdigest(),
+    ).encode()
+    # Lower case: some readers compare the checksum as text.
+    own = hashlib.md5(record, usedforsecurity=False).hexdigest()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr(_entry("main.xml"), record)
+        with archive.open(_entry("bindata/data.bin"), "w", force_zip64=4 * surface.z_um.size > 2**31 - 1) as heights:
+            heights.writelines(_heights(surface))
+        archive.writestr(_entry("md5checksum.hex"), f"{own} *main.xml\n")
+
+
+def _heights(surface: SourceSurface) -> Iterator[bytes]:
+    return row_blocks(surface.z_um, UM, "<f4")
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """A zip entry with a fixed time, so that the same surface gives the same bytes."""
+    entry = zipfile.ZipInfo(name)
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    return entry
+
+
+LARGEST: Final = 2**32 - 1
+"""Limit of the 32-bit sizes."""
+
+
+def write_gwy(file: BinaryIO, surface: SourceSurface) -> None:
+    """Write channel 0, the height, and channel 1, its standard uncertainty, each with its mask.
+
+    Raises
+    ------
+    ExportError
+        The field is too large for the format.
+    """
+    channels = [("Height", surface.z_um)]
+    if surface.sigma_um is not None:
+        channels.append(("Standard uncertainty of height", surface.sigma_um))
+    fields = 2 * len(channels) * (8 * surface.z_um.size + 1000)
+    if fields > LARGEST:
+        raise ExportError(f"{surface.name}: a GWY file ends at 4 GB and this needs {fields / 1e9:.1f}: use gsf or npz")
+    parts: list[bytes | _Field] = []
+    for number, (title, values_um) in enumerate(channels):
+        parts += [
+            _component(f"/{number}/data/title", b"s" + _text(title)),
+            _component(f"/{number}/data/visible", b"b\1"),
+            _Field(f"/{number}/data", values_um, surface.pitch_um, is_mask=False),
+            _component(f"/{number}/meta", b"o" + _object("GwyContainer", _meta(surface))),
+        ]
+        if np.isnan(values_um).any():
+            parts.append(_Field(f"/{number}/mask", values_um, surface.pitch_um, is_mask=True))
+    size = sum(len(part) if isinstance(part, bytes) else part.size for part in parts)
+    file.write(b"GWYPGwyContainer\0" + struct.pack("<I", size))
+    for part in parts:
+        file.writelines([part] if isinstance(part, bytes) else part.blocks())
+
+
+class _Field:
+    """A component with a GwyDataField, whose values are converted while they are written."""
+
+    def __init__(self, key: str, values_um: Float32Array, pitch_um: float, *, is_mask: bool) -> None:
+        rows, columns = values_um.shape
+        self._values, self._is_mask = values_um, is_mask
+        head = b"".join(
+            _component(name, kind)
+            for name, kind in (
+                ("xres", struct.pack("<ci", b"i", columns)),
+                ("yres", struct.pack("<ci", b"i", rows)),
+                ("xreal", struct.pack("<cd", b"d", columns * pitch_um * UM)),
+                ("yreal", struct.pack("<cd", b"d", rows * pitch_um * UM)),
+                ("si_unit_xy", b"o" + _unit("m")),
+                ("si_unit_z", b"o" + _unit("" if is_mask else "m")),
+            )
+        )
+        head += b"data\0D" + struct.pack("<I", values_um.size)
+        self._head = _component(key, b"oGwyDataField\0" + struct.pack("<I", len(head) + 8 * values_um.size) + head)
+        self.size = len(self._head) + 8 * values_um.size
+
+    def blocks(self) -> Iterator[bytes]:
+        """The component's bytes."""
+        yield self._head
+        if self._is_mask:
+            # 0 for valid pixels, 1 for invalid ones.
+            yield from row_blocks(self._values, 0.0, "<f8", invalid=1.0)
+        else:
+            yield from row_blocks(self._values, UM, "<f8", invalid=float(np.nanmean(self._values, dtype=float)) * UM)
+
+
+def _meta(surface: SourceSurface) -> bytes:
+    said = {
+        "Name": surface.name,
+        "Origin": surface.origin,
+        "Written": surface.written_utc,
+        "Pixel pitch": f"{surface.pitch_um:g} µm",
+        "Doubts": "; ".join(surface.doubts),
+    }
+    return b"".join(_component(key, b"s" + _text(value)) for key, value in said.items() if value)
+
+
+def _component(key: str, value: bytes) -> bytes:
+    return key.encode() + b"\0" + value
+
+
+def _text(text: str) -> bytes:
+    return text.encode() + b"\0"
+
+
+def _object(kind: str, components: bytes) -> bytes:
+    return kind.encode() + b"\0" + struct.pack("<I", len(components)) + components
+
+
+def _unit(unit: str) -> bytes:
+    return _object("GwySIUnit", _component("unitstr", b"s" + _text(unit)))

@@ -7,6 +7,8 @@ slope. The filter returns the value of the weighted least-squares plane: a tilt 
 no pixel is missing the value equals the mean.
 
 Terms that depend on the mask only are computed once for a surface and its samples.
+
+The Gaussian profile filter (ISO 16610-21), of first order at ends and beside holes (ISO 16610-31).
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 
@@ -122,3 +125,33 @@ def _transfer(kernel: Float64Array, reach: int, size: int) -> NDArray[np.complex
     placed[size - reach :] = kernel[centre - reach : centre]
     # Conjugate: a sum around a pixel is a correlation, not a convolution.
     return np.conj(scipy.fft.fft(placed)).astype(np.complex64)
+
+
+_MIN_PROFILE_DETERMINANT = 1e-6
+
+
+def profile_mean(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
+    """Gaussian mean line of the valid samples: float64 array of shape (N,), NaN where `z_um` is NaN."""
+    sigma = ALPHA * cutoff_samples / np.sqrt(2.0 * np.pi)
+    reach = max(int(np.ceil(REACH * sigma)), 1)
+    x = np.arange(-reach, reach + 1) / sigma
+    weight = np.exp(-0.5 * x * x)
+    weight /= weight.sum()
+    valid = np.isfinite(z_um)
+    if not valid.any():
+        return z_um.copy()
+    level = float(z_um[valid].mean())
+    filled = np.where(valid, z_um - level, 0.0)
+
+    def around(values: Float64Array, power: int) -> Float64Array:
+        # Reversed, as the sum is taken around a sample.
+        return np.asarray(fftconvolve(values, (weight * x**power)[::-1], mode="full")[reach : reach + values.size])
+
+    ones = valid.astype(np.float64)
+    n, first, second = (around(ones, power) for power in range(3))
+    z0, z1 = (around(filled, power) for power in range(2))
+    n = np.maximum(n, 1e-9)
+    determinant = n * second - first * first
+    spans = determinant > _MIN_PROFILE_DETERMINANT * n * n
+    line = (z0 * second - z1 * first) / np.where(spans, determinant, 1.0)
+    return np.where(valid, np.where(spans, line, z0 / n) + level, np.nan)

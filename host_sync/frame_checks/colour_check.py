@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface.fields import Float32Array, MaskArray
-from host_sync.frame_checks.turns import HALF_TURNS
+from host_sync.frame_checks.layout_check import HALF_TURNS
 
 TURNED_SHARE: Final = 0.7
 """A frame is turned when a turned reference leaves less than this share of what the reference leaves unexplained."""

@@ -14,9 +14,8 @@ from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.frame_checks.layout_check import LayoutModel
-from host_sync.frame_checks.level_check import MAX_REACH, LevelModel
+from host_sync.frame_checks.level_check import MAX_REACH, LevelModel, LightPositionModel
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs
-from host_sync.frame_checks.light_position import LightPositionModel
 from host_sync.frame_checks.pattern_check import PatternModel
 from host_sync.results.record import FrameCheck
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array
+from host_sync.frame_checks.layout_check import Turn, turns_of
 from host_sync.frame_checks.pigment_pattern import PatternSight, ReferencePattern
-from host_sync.frame_checks.turns import Turn, turns_of
 from host_sync.results.record import FrameCheck, not_checked
 
 POSITION: Final = "pattern position"

@@ -2,6 +2,8 @@
 
 Frames are decoded one by one on demand. An unreadable frame keeps its place in the sequence as a `BadFrame`, so that
 later frames keep their time.
+
+The movie of a scan's press as a sequence of frames of full size.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import cv2
 import msgspec
@@ -20,6 +22,7 @@ import tifffile
 
 from device.bundles.raw_frame import read_raw
 from device.errors import RecordError
+from device.imaging.mosaic_binning import unbin_mosaic
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
@@ -27,6 +30,10 @@ from host_sync.frames.image_file import MAX_PIXELS, read_with_info
 from host_sync.frames.image_info import ImageInfo, Pixels
 from host_sync.frames.orientation import TAG, check_one_orientation, known_orientation, upright
 from host_sync.frames.tiff_file import promises_another_page
+
+if TYPE_CHECKING:
+    from device.bundles.scan import ScanBundle
+
 
 DEFAULT_RATE_HZ: Final = 25.0
 """Frames a second of a recording that states no rate."""
@@ -264,3 +271,38 @@ def _page_count(path: Path) -> int:
             return len(tiff.pages)
     except TIFF_READ_ERRORS:
         return 0
+
+
+class BundleMovie:
+    """Frames of half the size, each pixel of one colour four times, so that the scan's calibration reads them.
+
+    Raises
+    ------
+    SequenceError
+        The scan holds no movie.
+    """
+
+    def __init__(self, bundle: ScanBundle) -> None:
+        movie = bundle.record.movie
+        if movie is None:
+            raise SequenceError(f"{bundle.scan_id}: holds no movie: scan with --capture movie, or name another scan")
+        self._bundle, self._frames = bundle, movie.frames
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self._frames)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames per second from the first to the last; None of a single frame."""
+        lasting_ms = self._frames[-1].at_ms - self._frames[0].at_ms
+        return 1e3 * (len(self._frames) - 1) / lasting_ms if lasting_ms > 0.0 else None
+
+    def frames(self) -> Iterator[StoredFrame | BadFrame]:
+        """Every frame."""
+        for frame in self._frames:
+            try:
+                yield StoredFrame(frame.file, unbin_mosaic(self._bundle.movie_frame(frame.file)))
+            except RecordError as error:
+                yield BadFrame(frame.file, str(error))

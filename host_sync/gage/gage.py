@@ -5,11 +5,16 @@ variances. An interaction with p > 0.25 in the F-test is pooled with the repeats
 
 Confidence intervals are generalised: mean squares are drawn from their chi-squared distributions and every figure is
 computed for each draw. For repeatability this equals the chi-squared interval.
+
+Rows of a study come from a CSV file or from results, arranged by parts, operators and repeats.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -17,6 +22,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from device.surface.fields import Float64Array
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MeasurementError
 
 POOLING_P: Final = 0.25
@@ -177,3 +183,141 @@ def _positive(variance: Float64Array) -> Float64Array:
 def _estimate(value: Float64Array, trials: Float64Array) -> Estimate:
     low, high = np.quantile(trials, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], method="nearest")
     return Estimate(*(float(one) if np.isfinite(one) else None for one in (value, low, high)))
+
+
+GOOD_PERCENT: Final = 10.0
+USABLE_PERCENT: Final = 30.0
+MIN_CATEGORIES: Final = 5
+
+
+def study_text(study: GageStudy, what: str, unit: str) -> str:
+    """The tables of a study: ANOVA, spreads with confidence intervals, and the verdict."""
+    anova = study.anova
+    lines = [
+        f"gage R&R of {what}: {len(study.parts)} parts, {len(study.operators)} operators, {study.repeats} repeats; "
+        f"standard deviations with {study.confidence:.0%} confidence intervals",
+        "",
+        f"  {'source':<14}{'sum of squares':>16}{'freedom':>9}{'mean square':>14}",
+    ]
+    lines += [
+        f"  {name:<14}{value:>16.6g}{anova.freedoms[name]:>9}{value / anova.freedoms[name]:>14.6g}"
+        for name, value in anova.sums.items()
+        if anova.freedoms[name]
+    ]
+    if anova.interaction_p is not None:
+        pooled = "pooled with the repeats" if anova.pooled else "kept"
+        lines.append(f"  interaction of part and operator: p = {anova.interaction_p:.3f}, {pooled}")
+    rows = (
+        ("repeatability", study.repeatability, study.percent_repeatability),
+        ("reproducibility", study.reproducibility, study.percent_reproducibility),
+        ("gage R&R", study.gage, study.percent_gage),
+        ("part to part", study.part_to_part, study.percent_part),
+        ("total", study.total, None),
+    )
+    lines += ["", *(f"  {name:<16}{_shown(one, unit)}{_share(share)}" for name, one, share in rows), ""]
+    if study.percent_tolerance is not None:
+        lines.append(
+            f"  six standard deviations of the gage fill {_shown(study.percent_tolerance, '%')} of the tolerance"
+        )
+    lines.append(f"  distinct categories: {_shown(study.ndc, '')}")
+    return "\n".join([*lines, f"  {verdict(study)}"])
+
+
+def verdict(study: GageStudy) -> str:
+    """The verdict by the AIAG rule of thumb."""
+    percent = study.percent_gage.value
+    if percent is None:
+        return "the gage cannot be judged: nothing varies"
+    word = (
+        "good" if percent <= GOOD_PERCENT else "usable for some purposes" if percent <= USABLE_PERCENT else "too coarse"
+    )
+    few = study.ndc.value is not None and study.ndc.value < MIN_CATEGORIES
+    tail = f", and it distinguishes fewer than {MIN_CATEGORIES} categories" if few else ""
+    return f"the gage's spread is {percent:.1f} % of the total: {word} (up to 10 % good, up to 30 % usable){tail}"
+
+
+def _shown(one: Estimate, unit: str) -> str:
+    unit = f" {unit}" if unit else ""
+    value, low, high = ("∞" if end is None else f"{end:.4g}" for end in (one.value, one.low, one.high))
+    return f"{value}{unit} ({low} to {high})"
+
+
+def _share(one: Estimate | None) -> str:
+    return "" if one is None else f",  {_shown(one, '%')} of the total"
+
+
+@dataclass(frozen=True, slots=True)
+class GageRow:
+    """One measurement of a part by an operator; `value` is a number, or a result folder to measure."""
+
+    part: str
+    operator: str
+    value: str
+
+
+def read_rows(path: Path, value_column: str) -> list[GageRow]:
+    """The rows of a CSV file whose header names the columns part, operator and the value column.
+
+    Raises
+    ------
+    MeasurementError
+        The file cannot be read, or lacks a column or a cell.
+    """
+    wanted = ("part", "operator", value_column)
+    table = read_table(path, MeasurementError, wanted)
+    if not table:
+        raise MeasurementError(f"{path}: has no row below its line of names")
+    rows = []
+    for number, cells in enumerate(table, start=1):
+        part, operator, value = (cells[name] for name in wanted)
+        if not (part and operator and value):
+            raise MeasurementError(f"{path}: row {number} below the line of names: a cell is empty: fill it in")
+        rows.append(GageRow(part, operator, value))
+    return rows
+
+
+def numbers(rows: Iterable[GageRow], source: str) -> list[tuple[str, str, float]]:
+    """Part, operator and number of each row.
+
+    Raises
+    ------
+    MeasurementError
+        A value is no finite number, or signs are written between thousands.
+    """
+    found = []
+    rows = list(rows)
+    texts = "".join(row.value for row in rows)
+    if "," in texts and "." in texts:
+        raise MeasurementError(f"{source}: values hold points and commas: write no sign between thousands")
+    for row in rows:
+        number = number_in(row.value)
+        if not np.isfinite(number):
+            raise MeasurementError(f"{source}: part {row.part}, operator {row.operator}: {row.value!r} is not a number")
+        found.append((row.part, row.operator, number))
+    return found
+
+
+def crossed(
+    measured: Sequence[tuple[str, str, float]],
+) -> tuple[Float64Array, tuple[str, ...], tuple[str, ...]]:
+    """Values of shape (parts, operators, repeats), part names and operator names, in order of appearance.
+
+    Raises
+    ------
+    MeasurementError
+        Some operator scanned some part more or less often than others.
+    """
+    parts = tuple(dict.fromkeys(part for part, _, _ in measured))
+    operators = tuple(dict.fromkeys(operator for _, operator, _ in measured))
+    counts = Counter((part, operator) for part, operator, _ in measured)
+    usual = Counter(counts.values()).most_common(1)[0][0] if counts else 0
+    for part in parts:
+        for operator in operators:
+            if counts[part, operator] != usual:
+                raise MeasurementError(
+                    f"part {part} was measured {counts[part, operator]} times by operator {operator} and others "
+                    f"{usual} times: a crossed study needs every part equally often by every operator"
+                )
+    cells = {key: [value for part, operator, value in measured if (part, operator) == key] for key in counts}
+    values = np.array([[cells[part, operator] for operator in operators] for part in parts], np.float64)
+    return values.reshape(len(parts), len(operators), usual), parts, operators

@@ -1,7 +1,13 @@
-"""Calibration folders that list one labelled ball an image: those of gs_sdk and of py3DCal."""
+"""Calibration folders that list one labelled ball an image: those of gs_sdk and of py3DCal.
+
+Calibration folders of FOTS and digit-depth: a table of circles that a person drew, images, a configuration.
+
+A circle is drawn around all of the ball that shows, where the skin has left it already: its contact is narrower.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import zipfile
 import zlib
@@ -13,9 +19,11 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from device.balls.detector import MAX_CONTACT
 from hal.decoding import decode_json
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
+from host_sync.frames.sequence import SUFFIXES, natural_order
 from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
 
 CATALOGUE: Final = "catalog.csv"
@@ -115,3 +123,93 @@ def _label(path: Path) -> tuple[Circle, ...]:
             return ((column, row, float(label["radius"])),)
     except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
         raise FrameSetError(f"{path}: is no label of gs_sdk: label that press again") from error
+
+
+COLUMNS: Final = ("img_names", "center_x", "center_y", "radius")
+CONTACT_OF_RING: Final = 0.85
+"""The contact's radius over that of the ring that a person sees."""
+
+_SCALE: Final = re.compile(r"^\s*mm_to_pix(?:el)?:\s*([0-9.]+)", re.MULTILINE)
+_AT_REST: Final = re.compile(r"0+|background|blank|flat|ref|bg", re.IGNORECASE)
+
+
+def find_circle_table(source: Path) -> Path | None:
+    """The table of circles in a folder, in its csv folder or beside its images; None where there is none."""
+    for one in (*sorted(source.glob("*.csv")), *sorted(source.glob("csv/*.csv"))):
+        try:
+            read_table(one, FrameSetError, COLUMNS)
+        except FrameSetError:
+            continue
+        return one
+    return None
+
+
+def import_annotated(source: Path, said: Said) -> Draft:
+    """A folder with a table of circles and their images, which lie in it or in one of its folders.
+
+    Raises
+    ------
+    FrameSetError
+        There is no table, a number in it is none, or none of its images is there.
+    """
+    table = find_circle_table(source)
+    if table is None:
+        raise FrameSetError(f"{source}: holds no table with the columns {', '.join(COLUMNS)}: name its folder")
+    pitch_um = said.pixel_pitch_um or _stated_pitch_um(source)
+    largest = MAX_CONTACT * said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
+    circles: dict[str, list[Circle]] = {}
+    for row in read_table(table, FrameSetError, COLUMNS):
+        name = re.split(r"[/\\]", row[COLUMNS[0]])[-1].casefold()  # paths of the computer where they were drawn
+        circles.setdefault(name, []).append(_contact(row, largest, table))
+    images = _images(source, set(circles))
+    presses = [
+        DraftPress((images[name],), said.ball_radius_mm, tuple(drawn))
+        for name, drawn in circles.items()
+        if name in images
+    ]
+    if not presses:
+        raise FrameSetError(f"{source}: none of the images that {table.name} lists is there: fetch the folder whole")
+    folder = presses[0].images[0].parent
+    rest = said.reference or next(
+        (one for place in (folder, source) for one in sorted(place.iterdir()) if _is_at_rest(one, circles)), None
+    )
+    return Draft(
+        name=source.resolve().name,
+        pixel_pitch_um=pitch_um,
+        encoding=said.encoding,
+        reference=(rest,) if rest else (),
+        presses=tuple(presses),
+        scans=tuple(DraftScan(press.images[0].stem, press.images) for press in presses[::SHOWN_EVERY]),
+        notes=left_out([name for name in circles if name not in images]),
+    )
+
+
+def _images(source: Path, names: set[str]) -> dict[str, Path]:
+    """The folder that holds most of the images, by name."""
+    folders = [source, *(one for one in sorted(source.iterdir()) if one.is_dir())]
+    held = [{one.name.casefold(): one for one in sorted(place.iterdir(), key=natural_order)} for place in folders]
+    best = max(held, key=lambda files: len(names & files.keys()))
+    return {name: best[name] for name in names & best.keys()}
+
+
+def _is_at_rest(path: Path, circles: dict[str, list[Circle]]) -> bool:
+    named = path.suffix.lower() in SUFFIXES and _AT_REST.fullmatch(path.stem) is not None
+    return named and path.name.casefold() not in circles
+
+
+def _contact(row: dict[str, str], largest: float | None, table: Path) -> Circle:
+    column, line, ring = (number_in(row[name]) for name in COLUMNS[1:])
+    if not (math.isfinite(column + line) and 0.0 < ring < math.inf):
+        given = ", ".join(row[name] for name in COLUMNS[1:])
+        raise FrameSetError(f"{table}: {row[COLUMNS[0]]}: {given!r} is no circle: correct the table")
+    contact = CONTACT_OF_RING * ring
+    return column, line, min(contact, largest) if largest else contact
+
+
+def _stated_pitch_um(source: Path) -> float | None:
+    """The pixel pitch that a configuration beside the images states."""
+    for one in sorted(source.glob("config/*.yaml")):
+        found = _SCALE.search(one.read_text(encoding="utf-8", errors="replace"))
+        if found and float(found[1]) > 0.0:
+            return 1e3 / float(found[1])
+    return None

@@ -14,10 +14,10 @@ from device.io.atomic import write_output
 from host_sync.calibration.assessment import diameter_note
 from host_sync.calibration.located_presses import mend_of_radius
 from host_sync.calibration.training_press import pictures_across
-from host_sync.calibration_report.press_sheet import ShownPress, draw_sheet, reduced_picture, sheet_height_in
+from host_sync.calibration_report.overview import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
-from host_sync.importers.ball_survey import SeenPress, look_at, survey_radius
 from host_sync.importers.draft import short_names
+from host_sync.importers.image_folder import SeenPress, look_at, survey_radius
 from host_sync.render.figures import figure_png
 
 WIDTH_IN: Final = 14.0

@@ -9,8 +9,14 @@ from typing import Final, Literal
 
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES
-from host_sync.importers.annotated_circles import find_circle_table, import_annotated
-from host_sync.importers.ball_tables import ANNOTATIONS, CATALOGUE, import_gs_sdk, import_py3dcal
+from host_sync.importers.ball_tables import (
+    ANNOTATIONS,
+    CATALOGUE,
+    find_circle_table,
+    import_annotated,
+    import_gs_sdk,
+    import_py3dcal,
+)
 from host_sync.importers.draft import Draft, Said
 from host_sync.importers.gelsight_scan import SCAN_FILE, import_gelsight
 from host_sync.importers.image_folder import MOVIES, import_images

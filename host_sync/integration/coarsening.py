@@ -1,6 +1,6 @@
 """Edges of the next coarser level: the first half of full multigrid.
 
-With weights, coarse edges take the weights and slopes of `prolongation_offsets`. Slopes are passed down, not their
+With weights, coarse edges take the weights and slopes of `matrix_free_rows`. Slopes are passed down, not their
 divergence, so that each level's least-squares solution is the surface itself.
 
 Without weights the offsets drop out. The two pixels on one side of a cell lie as far above it as those on the other
@@ -18,10 +18,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from host_sync.integration.edges import first_of, second_of, unit_edge_slopes, x_edges
-from host_sync.integration.levels import FineLevel, GridLevel
-from host_sync.integration.matrix_free_rows import advance_edges, begin_edges, offset_rows, ring, system_row
-from host_sync.integration.prolongation_offsets import coarse_x_edges, coarse_y_edges
+from host_sync.integration.levels import FineLevel, GridLevel, first_of, second_of, unit_edge_slopes, x_edges
+from host_sync.integration.matrix_free_rows import (
+    advance_edges,
+    begin_edges,
+    coarse_x_edges,
+    coarse_y_edges,
+    offset_rows,
+    ring,
+    system_row,
+)
 from host_sync.integration.smoother import CONTRACT
 from host_sync.integration.transfer import restrict_row
 from host_sync.kernels.jit import njit

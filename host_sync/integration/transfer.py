@@ -21,7 +21,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.integration.components import Components, row_moments
-from host_sync.integration.edges import first_of, second_of
+from host_sync.integration.levels import first_of, second_of
 from host_sync.integration.smoother import CONTRACT
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

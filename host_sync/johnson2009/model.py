@@ -19,12 +19,16 @@ from device.balls.sphere import BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import GradientField, HeightMap
 from host_sync.integration.integrate import IntegrationReport, integrate
-from host_sync.johnson2009.gradient_kernel import SOBEL_VARIANCE, estimate_slopes
+from host_sync.johnson2009.gradient_kernel import SOBEL_VARIANCE, GateSettings, estimate_slopes
 from host_sync.johnson2009.lookup_table import LookupTable, build_table, colour_cube
-from host_sync.johnson2009.refinement import GateSettings
 from host_sync.johnson2009.reflectance_map import ReflectanceMaps, sample_reflectance
-from host_sync.johnson2009.reflectance_surface import ReflectanceSurface, reflectance_surface
-from host_sync.johnson2009.spherical_harmonics import LAMBERTIAN_ORDER, HarmonicFit, fit_harmonics
+from host_sync.johnson2009.spherical_harmonics import (
+    LAMBERTIAN_ORDER,
+    HarmonicFit,
+    ReflectanceSurface,
+    fit_harmonics,
+    reflectance_surface,
+)
 
 STEP_SPREAD: Final = 0.2
 """Standard deviation of the true slope about the coarse estimate, assumed for λ."""

@@ -19,13 +19,18 @@ from host_sync.errors import MeasurementError
 from host_sync.filters.form import FormRemoval, PolynomialForm
 from host_sync.filters.gaussian_regression import GaussianRegression
 from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHAPE, ParameterKind
-from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
-from host_sync.iso25178.autocorrelation import Autocorrelation, Decay, decay, texture_direction_deg
-from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_parameters
-from host_sync.measurement.footprint import field_places, region_places
-from host_sync.measurement.geometry import Region
+from host_sync.iso25178.areal_parameters import (
+    Autocorrelation,
+    Decay,
+    MaterialRatioCurve,
+    decay,
+    functional_parameters,
+    height_parameters,
+    hybrid_parameters,
+    texture_direction_deg,
+)
+from host_sync.measurement.geometry import Region, SkinPlaces, field_places, region_places
 from host_sync.measurement.recipe import Recipe
-from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import SphereForm
 
 _DEGREES: Final = {"mean": 0, "plane": 1}

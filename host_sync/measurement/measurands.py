@@ -10,10 +10,18 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_catalogue import ParameterKind
-from host_sync.measurement.footprint import line_places, region_places
-from host_sync.measurement.geometry import Region, bend_deg, between_places, between_planes_deg, over_plane, pit_volumes
+from host_sync.measurement.geometry import (
+    Region,
+    SkinPlaces,
+    bend_deg,
+    between_places,
+    between_planes_deg,
+    line_places,
+    over_plane,
+    pit_volumes,
+    region_places,
+)
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
-from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.measurement.sphere import fit_sphere
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.step_height import (

@@ -15,8 +15,8 @@ from host_sync.iso25178.areal_catalogue import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.circle import CircleMeasurand
-from host_sync.measurement.footprint import reaches_beyond, share_at
 from host_sync.measurement.foreign_file import read_foreign
+from host_sync.measurement.geometry import SkinPlaces, painted, reaches_beyond, share_at, without
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.levelling import Levelling, LevelSpread
 from host_sync.measurement.measurands import (
@@ -29,19 +29,19 @@ from host_sync.measurement.measurands import (
     VolumeMeasurand,
 )
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
-from host_sync.measurement.painted_mask import painted, without
 from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.quantity import (
+    NO_PITCH_SIGMA,
     NOISE_SHARE,
     NOISE_WARNING,
     Quantity,
+    judged,
     noise_bias,
     uncertainty_of,
     uncertainty_of_uncertainty,
+    unmet,
 )
 from host_sync.measurement.recipe import Recipe
-from host_sync.measurement.skin_places import SkinPlaces
-from host_sync.measurement.tolerance import NO_PITCH_SIGMA, judged, unmet
 from host_sync.profile.profile_line import Profile
 from host_sync.profile.step_height import lines_um, used_samples
 from host_sync.results.doubts import FOREIGN_METHOD, doubts_at

@@ -14,7 +14,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.kernels.jit import njit
-from host_sync.measurement.skin_places import MIN_SHARE, SkinPlaces
+from host_sync.measurement.geometry import MIN_SHARE, SkinPlaces
 
 MAX_STEPS: Final = 40
 ENOUGH: Final = 1e-9

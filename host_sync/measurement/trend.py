@@ -20,8 +20,7 @@ import numpy as np
 
 from device.surface.fields import Float64Array
 from host_sync.measurement.measurement import COPY, Measurement
-from host_sync.measurement.quantity import Limits, Quantity, decimals, plain
-from host_sync.measurement.tolerance import NO_PITCH_SIGMA, VOID
+from host_sync.measurement.quantity import NO_PITCH_SIGMA, VOID, Limits, Quantity, decimals, plain
 from host_sync.results.doubt import REPLACED, DoubtKind
 
 INDIVIDUALS: Final = 2.66

@@ -12,7 +12,7 @@ import numpy as np
 from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import MosaicError, UnreadableResult
 from host_sync.mosaic.record import MOSAIC_FILE
-from host_sync.registration.copies import are_copies
+from host_sync.registration.difference import are_copies
 from host_sync.registration.poses import reduced
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result

@@ -1,10 +1,14 @@
-"""The files of a mosaic: an ordinary result, and beside it the record of its links."""
+"""The files of a mosaic: an ordinary result, and beside it the record of its links.
+
+All that a mosaic is made from, but the heights.
+"""
 
 from __future__ import annotations
 
 import itertools
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -13,9 +17,11 @@ import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap
+from host_sync.mosaic.adjustment import Adjusted
 from host_sync.mosaic.blending import Blend, Canvas
+from host_sync.mosaic.levelling import Levels, Meeting
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.plan import Plan
+from host_sync.mosaic.motion import Motion
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic
 from host_sync.registration.poses import reduced
@@ -221,3 +227,27 @@ def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
                 counts.setdefault(words, []).append(press.name)
     for words, names in counts.items():
         yield f"{words} ({some_of(names)})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Links, places and levels.
+
+    refused : links that were refused by themselves
+    links : the others
+    adjusted : of `links`
+    places : of the presses that have one, by number, in a mosaic that is not turned in the mean
+    meetings : of the links in use, by their number among `links`; presses are numbered as in `levels`
+    levels : planes of the presses in `places`, in their order
+    without_sigma : presses that state no uncertainty of their heights, by number
+    period_px : distance after which the relief repeats itself, where places may be off by it; else None
+    """
+
+    refused: list[Link]
+    links: list[Link]
+    adjusted: Adjusted
+    places: dict[int, Motion]
+    meetings: dict[int, Meeting]
+    levels: Levels
+    without_sigma: frozenset[int] = frozenset()
+    period_px: float | None = None

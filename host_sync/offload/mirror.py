@@ -20,9 +20,9 @@ from device.errors import RecordError
 from device.io.os_errors import explain_os_error
 from host_sync.errors import HostError, SourceError
 from host_sync.library.library import AnyBundle, Library
-from host_sync.offload.directory import DirectorySource
+from host_sync.offload.ingest import PullFailure
 from host_sync.offload.pull import pull
-from host_sync.offload.pull_log import PullFailure
+from host_sync.offload.source import DirectorySource
 
 _CONNECT_S: Final = 20.0
 _REQUEST_BYTES: Final = 1 << 18

@@ -20,9 +20,8 @@ from device.errors import DeviceError, RecordError
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost
 from host_sync.library.library import Library
 from host_sync.offload.bundle_transfer import RemoteBundle, read_remote_bundle
-from host_sync.offload.ingest import IngestQueue, ReceiptWriter, read_back
+from host_sync.offload.ingest import IngestQueue, PullLog, PullReport, ReceiptWriter, read_back
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState, this_host
-from host_sync.offload.pull_log import PullLog, PullReport
 from host_sync.offload.source import Source
 
 _ORDER: Final[tuple[BundleKind, ...]] = ("calibrations", "scans")

@@ -14,7 +14,7 @@ from host_sync.errors import HostError, LibraryError, SourceLost
 from host_sync.library.library import Library
 from host_sync.library.verification import Verification, verify_library
 from host_sync.offload.bundle_transfer import RemoteBundle, download, read_remote_bundle, verify
-from host_sync.offload.pull_log import PullFailure
+from host_sync.offload.ingest import PullFailure
 from host_sync.offload.source import Source
 
 

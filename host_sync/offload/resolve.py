@@ -12,9 +12,8 @@ from typing import Final
 import msgspec
 
 from host_sync.errors import HostError, NoSource
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
-from host_sync.offload.source import PATIENCE_S, Source
+from host_sync.offload.source import PATIENCE_S, DirectorySource, Source
 
 MAX_PORT: Final = 65535
 
@@ -77,7 +76,7 @@ def open_device(
     device: PairedDevice, devices: PairedDevices, at: Address | None = None, patience_s: float = PATIENCE_S
 ) -> Iterator[Source]:
     """A paired device as a source; without data it is given up after `patience_s`. Errors as for `open_source`."""
-    from host_sync.offload.pairing import new_private_key
+    from host_sync.offload.paired_devices import new_private_key
     from host_sync.offload.sftp import SftpSource
     from host_sync.offload.sftp_link import ReconnectingSftp, Timeouts
 

@@ -2,15 +2,24 @@
 
 A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source says
 is trusted.
+
+A source that is a folder: a card, a mount, or a store on this machine. Nothing below it is followed or trusted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+import errno
+import os
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Final, Protocol
+from typing import BinaryIO, Final, Protocol
 
-from device.bundles.layout import BundleKind, BundleNames
+from device.bundles.layout import MANIFESTS, BundleKind, BundleNames, bundle_names
+from device.bundles.record import CHUNK_BYTES
+from device.io.folder import Folder, open_regular
+from device.io.os_errors import explain_os_error
+from host_sync.errors import NoSource, SourceError, SourceLost
 
 PATIENCE_S: Final = 8.0
 """Without any data, after which a device counts as gone."""
@@ -77,3 +86,130 @@ class Source(Protocol):
     def clock_offset_s(self) -> float | None:
         """Return how far the source's clock is ahead of ours, s; None when it has none or does not show it."""
         ...
+
+
+_USUAL_PLACES: Final = ("retroscan", "var/lib/retroscan")
+
+
+class DirectorySource:
+    """A store's folder, or a card or mount that contains one.
+
+    Raises
+    ------
+    NoSource
+        There is no store, or more than one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.root = _locate_store(path)
+
+    @property
+    def name(self) -> str:
+        """The store's folder."""
+        return str(self.root)
+
+    def bundle_names(self, kind: BundleKind) -> BundleNames:
+        """Ids of the published bundles, and entries that cannot be bundles."""
+        with self._refusing(kind, "be read"), Folder(self.root) as folder:
+            try:
+                return bundle_names(folder.entries(kind))
+            except FileNotFoundError:
+                return BundleNames((), ())
+
+    def names(self, folder: str) -> list[str]:
+        """Names in a folder of the store, sorted; none when there is no such folder."""
+        with self._refusing(folder, "be read"), Folder(self.root) as root:
+            try:
+                return [entry.name for entry in root.entries(folder)]
+            except FileNotFoundError:
+                return []
+
+    def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
+        """A regular file's bytes."""
+        with ExitStack() as stack:
+            with self._refusing(place, "be read", "fetch the bundle again"):
+                folder = stack.enter_context(Folder(self.root))
+                stream = stack.enter_context(folder.opened(place))
+                stream.seek(offset_bytes)
+            while block := self._next_block(stream, place):
+                yield block
+
+    def write(self, place: str, data: bytes | Path) -> None:
+        """Put a file there, durable before it appears under its name."""
+        with self._refusing(place, "be written"), Folder(self.root) as folder:
+            if isinstance(data, bytes):
+                folder.write(place, data)
+            else:
+                with os.fdopen(open_regular(data), "rb") as stream:
+                    folder.write(place, stream)
+
+    def make_folder(self, place: str) -> None:
+        """Make a folder; an existing one is kept."""
+        with self._refusing(place, "be made"), Folder(self.root) as folder:
+            folder.make_folder(place)
+
+    def rename(self, place: str, new_place: str) -> None:
+        """Rename a file or folder."""
+        with self._refusing(place, "be renamed"), Folder(self.root) as folder:
+            folder.rename(place, new_place)
+
+    def clock_offset_s(self) -> None:
+        """A folder has no clock."""
+        return
+
+    def _next_block(self, stream: BinaryIO, place: str) -> bytes:
+        with self._refusing(place, "be read"):
+            return stream.read(CHUNK_BYTES)
+
+    @contextmanager
+    def _refusing(self, place: str, verb: str, remedy: str | None = None) -> Iterator[None]:
+        """Turns the system's errors into a sentence; when the whole card is gone, into `SourceLost`."""
+        try:
+            yield
+        except OSError as error:
+            lost = error.errno in (errno.EIO, errno.ENODEV, errno.ENXIO, errno.ESTALE) and not self._is_there()
+            reason = explain_os_error(error) if remedy is None else f"({error.strerror or error}): {remedy}"
+            raise (SourceLost if lost else SourceError)(
+                f"{self.root / place}: cannot {verb} {reason}{'; then repeat' if lost else ''}"
+            ) from error
+
+    def _is_there(self) -> bool:
+        """Return whether the folder can still be listed: then a bad block concerns one file, else the whole card is
+        gone.
+        """
+        try:
+            return next(self.root.iterdir(), None) is not None
+        except OSError:
+            return False
+
+
+def _locate_store(path: Path) -> Path:
+    """The one store at or below a path."""
+    try:
+        found = _stores(path)
+    except OSError as error:
+        raise NoSource(f"{path}: cannot be read {explain_os_error(error)}, or name a paired device") from error
+    if not found:
+        raise NoSource(f"{path}: holds no scans and no calibrations: name the folder that contains `scans`")
+    if len(found) > 1:
+        raise NoSource(f"{path}: holds several stores, name one: {', '.join(map(str, found))}")
+    return found[0]
+
+
+def _stores(path: Path) -> list[Path]:
+    """The path itself when it is a store, else the stores in the usual places and just below it."""
+    if _is_store(path):
+        return [path]
+    with Folder(path) as folder:
+        children = [entry.name for entry in folder.entries() if entry.kind == "folder"]
+    places = {path / place for place in (*_USUAL_PLACES, *children)}
+    return sorted(place for place in places if _is_store(place))
+
+
+def _is_store(path: Path) -> bool:
+    """Return whether a folder of bundles is there; links below the path the user named are not followed."""
+    for kind in MANIFESTS:
+        with suppress(OSError), Folder(path) as folder:
+            folder.entries(kind)
+            return True
+    return False

@@ -11,12 +11,10 @@ from typing import Any
 
 import msgspec
 
-from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.measurement_text import operations, shared_warnings
-from host_sync.report.content import VERDICT_HEAD, Picture, Report, Table
+from host_sync.measurement.measurement import Measurement, operations, shared_warnings
+from host_sync.report.content import VERDICT_HEAD, Picture, Report, Table, Template
 from host_sync.report.pictures import pictures_of
 from host_sync.report.provenance import Origin, hashed_files, origin_of
-from host_sync.report.template import Template
 from host_sync.results.doubts import check_standard
 
 

@@ -1,19 +1,26 @@
-"""Writes a report as HTML, and as a PDF that a browser prints from it."""
+"""Writes a report as HTML, and as a PDF that a browser prints from it.
+
+A report as one self-contained HTML file without scripts, whose print style is that of the PDF.
+
+Every text is escaped, and a content policy forbids scripts and external resources as a second barrier.
+"""
 
 from __future__ import annotations
 
+import base64
 import os
 import re
 import shutil
 import subprocess
+from html import escape as escape_markup
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
 from device.io.atomic import write_output
 from host_sync.errors import ResultError
-from host_sync.report.content import Report
-from host_sync.report.html_page import html_page
+from host_sync.report.content import SIGNED, VERDICT_HEAD, VERDICTS, Picture, Report, Table
+from host_sync.text import printable
 
 NO_BROWSER: Final = (
     "no PDF is written, because Chromium, Chrome and Edge are missing: install one of them, or print the HTML file"
@@ -79,3 +86,126 @@ def _printed(page: Path, browser: str) -> bytes:
         finally:
             sheet.unlink(missing_ok=True)
     return _DATE.sub(lambda found: b" " * len(found[0]), data)
+
+
+_POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+_STYLE: Final = """
+:root { color-scheme: light; }
+body { font: 10.5pt/1.4 "Noto Sans", "DejaVu Sans", Arial, sans-serif; color: #1c1c1c; background: #fff;
+  max-width: 52rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: anywhere; }
+h1 { font-size: 1.6rem; margin-bottom: 0.2rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 0.4rem; }
+table { border-collapse: collapse; width: 100%; font-size: 9.5pt; }
+th, td { text-align: left; vertical-align: top; padding: 0.15rem 0.6rem 0.15rem 0; border-bottom: 1px solid #ddd; }
+th { overflow-wrap: normal; }
+td:nth-child(2) { font-variant-numeric: tabular-nums; }
+.facts th { font-weight: normal; color: #555; width: 11rem; }
+.hashes td:last-child { font-family: "DejaVu Sans Mono", monospace; font-size: 7.5pt; }
+figure { margin: 1rem 0; break-inside: avoid; } img { max-width: 100%; height: auto; }
+figcaption { color: #555; font-size: 9pt; }
+.remark { font-size: 9pt; margin: 0.3rem 0; }
+.warning { border-left: 4px solid #b03020; padding: 0.3rem 0.8rem; background: #fbeeec; }
+.head { display: flex; gap: 1rem; align-items: center; border-bottom: 1px solid #ddd; padding-bottom: 0.6rem; }
+.head p { margin: 0; } .verdict { font-weight: 600; } p.verdict { padding: 0.3rem 0.8rem; border-left: 4px solid; }
+.pass { color: #1d5d33; } .fail { color: #8c2f1b; } .undecided { color: #7a4a00; }
+.signature code { font-size: 7.5pt; }
+tr { break-inside: avoid; } h2 { break-after: avoid; }
+@media print {
+  body { margin: 0; padding: 0; max-width: none; font-size: 8.5pt; } h1 { font-size: 15pt; } h2 { font-size: 10pt; }
+  table, .remark, figcaption { font-size: 7.5pt; } .footer { display: none; }
+  img { width: auto; max-height: 120mm; } img.sheet { max-height: 230mm; }
+  .hashes td:last-child, .signature code { font-size: 5.6pt; }
+}
+"""
+_PAGE: Final = """@page { size: A4; margin: 14mm 15mm 16mm; color: #555;
+  font: 7pt "Noto Sans", "DejaVu Sans", Arial, sans-serif;
+  @bottom-left { content: "%s"; width: 85%%; }
+  @bottom-right { content: "page " counter(page); }
+}
+"""
+
+
+def html_page(report: Report) -> str:
+    """The page; at the foot of a printed one stands the template's line, else the beginning of the title."""
+    foot = printable(report.footer or report.title)[:110]
+    body = _head(report)
+    body += [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
+    body += [f'<p class="warning">Warning: {escape(warning)}</p>' for warning in report.warnings]
+    if report.verdict:
+        body.append(f'<p class="verdict {report.verdict}">Tolerances: {escape(report.verdict)}</p>')
+    body.append(_facts(report.facts))
+    body += [_figure(picture) for picture in report.pictures[:1]]
+    body += [_table(table) for table in report.tables]
+    if report.notes:
+        body.append(_list(report.notes))
+    body += [_figure(picture) for picture in report.pictures[1:]]
+    body += [_table(table, "hashes" if len(table.head) == 3 else "") for table in report.appendix]
+    if report.signature:
+        body.append(f'<p class="signature">{SIGNED}: <code>{escape(report.signature)}</code></p>')
+    if report.footer:
+        body.append(f'<p class="remark footer">{escape(report.footer)}</p>')
+    return "\n".join(
+        [
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{escape(_POLICY)}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(report.title)}</title>\n<style>{_STYLE}{_PAGE % _in_style(foot)}</style>\n</head>\n<body>",
+            *body,
+            "</body>\n</html>\n",
+        ]
+    )
+
+
+def escape(text: str) -> str:
+    """The text with markup escaped."""
+    return escape_markup(printable(text))
+
+
+def _in_style(text: str) -> str:
+    """A text between quotation marks of a style sheet, where every sign but letters and digits is a number."""
+    return "".join(letter if letter.isalnum() else f"\\{ord(letter):x} " for letter in text)
+
+
+def _head(report: Report) -> list[str]:
+    """Logo and organisation."""
+    if report.logo is None and not report.head:
+        return []
+    logo = ""
+    if report.logo is not None:
+        data = base64.b64encode(report.logo.png).decode("ascii")
+        logo = f'<img src="data:image/png;base64,{data}" width="{report.logo.size[0] // 2}" alt="">'
+    words = "".join(f"<p>{escape(line)}</p>" for line in report.head)
+    return [f'<header class="head">{logo}<div>{words}</div></header>']
+
+
+def _cell(head: str, cell: str) -> str:
+    verdict = cell.partition(":")[0]
+    kind = f' class="verdict {verdict}"' if head == VERDICT_HEAD and verdict in VERDICTS else ""
+    return f"<td{kind}>{escape(cell)}</td>"
+
+
+def _facts(facts: tuple[tuple[str, str], ...]) -> str:
+    rows = "\n".join(f'<tr><th scope="row">{escape(label)}</th><td>{escape(value)}</td></tr>' for label, value in facts)
+    return f'<table class="facts">\n{rows}\n</table>'
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.png).decode("ascii")
+    words = escape(picture.caption)
+    columns, rows = picture.size
+    kind = ' class="sheet"' if picture.is_sheet else ""
+    image = f'<img{kind} src="data:image/png;base64,{data}" width="{columns}" height="{rows}" alt="{words}">'
+    return f"<figure>\n{image}\n<figcaption>{words}</figcaption>\n</figure>"
+
+
+def _table(table: Table, kind: str = "") -> str:
+    head = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in table.head)
+    rows = "\n".join("<tr>" + "".join(map(_cell, table.head, row)) + "</tr>" for row in table.rows)
+    name = f' class="{kind}"' if kind else ""
+    title = f"<h2>{escape(table.title)}</h2>\n<table{name}>\n<thead><tr>{head}</tr></thead>"
+    remarks = "".join(f'<p class="remark">{escape(remark)}</p>' for remark in table.remarks)
+    return f"{title}\n<tbody>\n{rows}\n</tbody>\n</table>{remarks}"
+
+
+def _list(notes: tuple[str, ...]) -> str:
+    return "<ul>\n" + "\n".join(f"<li>{escape(note)}</li>" for note in notes) + "\n</ul>"

@@ -1,6 +1,8 @@
 """Doubts of a result: each reason to distrust its heights, judged once here and carried by every output.
 
 A doubt holds for the whole field, or for the sectors of it that it names.
+
+Scans of a library that were taken again: the handheld's record of the later scan names the one it replaces.
 """
 
 from __future__ import annotations
@@ -21,7 +23,6 @@ from device.calibration.coverage import SECTORS, sector_indices
 from device.surface.fields import Float64Array
 from host_sync.results.doubt import REPLACED, Doubt, DoubtKind
 from host_sync.results.record import ResultRecord, SequenceRecord, read_record, refusals
-from host_sync.results.replaced_scans import replacing
 
 EXTRAPOLATED_SHARE: Final = 0.005
 """Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""
@@ -238,3 +239,36 @@ def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterato
     if calibration_bundle and re.fullmatch(_BUNDLE, calibration_bundle):
         bundle = beside.parent.parent.parent / "calibrations" / calibration_bundle / "results"
         yield from sorted(bundle.glob(f"*/{CERTIFICATE_FILE}"))
+
+
+class _Manifest(msgspec.Struct, frozen=True):
+    """Fields that are read from a scan's manifest."""
+
+    replaces: str | None = None
+
+
+def replacing(scan: Path) -> str | None:
+    """Id of the scan that replaces the one in a folder of a library; None without one.
+
+    A replacement that the library does not hold replaces nothing there.
+    """
+    try:
+        return _replaced_in(scan.parent, scan.parent.stat().st_mtime_ns).get(scan.name)
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=4)
+def _replaced_in(scans: Path, _changed_ns: int) -> dict[str, str]:
+    """Id of the replacing scan by that of the replaced one; read again once a scan comes or goes."""
+    found = {}
+    for manifest in sorted(scans.glob(f"*/{SCAN_MANIFEST}")):
+        try:
+            content = manifest.read_bytes()
+            # Most scans replace none: not decoding those saves nearly all of the time.
+            old = msgspec.json.decode(content, type=_Manifest).replaces if b'"replaces": "' in content else None
+        except (OSError, ValueError):
+            continue
+        if old is not None:
+            found[old] = manifest.parent.name
+    return found

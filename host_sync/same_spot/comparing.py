@@ -13,8 +13,7 @@ import numpy as np
 from device.io.atomic import atomic_directory
 from device.surface.fields import HeightMap
 from host_sync.errors import ViewError
-from host_sync.registration.copies import are_copies
-from host_sync.registration.difference import Difference, difference
+from host_sync.registration.difference import Difference, are_copies, difference
 from host_sync.registration.poses import Pose
 from host_sync.render.picture_file import write_any_picture
 from host_sync.render.relief_sheet import with_strip

@@ -20,8 +20,7 @@ import numpy as np
 
 from host_sync.errors import ViewError
 from host_sync.kernels.cache import user_cache
-from host_sync.viewer.entry import Entry
-from host_sync.viewer.heights import Heights
+from host_sync.viewer.entry import Entry, Heights
 from host_sync.viewer.pyramid import Level, coarse_levels, finest_rows, level_count, padded_shape
 
 FORM: Final = 1

@@ -11,13 +11,12 @@ import numpy as np
 
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.errors import MeasurementError
-from host_sync.iso25178.material_ratio import MaterialRatioCurve, core_line, core_parameters
+from host_sync.iso25178.areal_parameters import MaterialRatioCurve, core_line, core_parameters
 from host_sync.measurement.measurement import Measurement
 from host_sync.measurement.recipe import Recipe, checked, from_options, recipe_of
 from host_sync.results.reader import ResultSurface, read_result
 from host_sync.results.record import ResultRecord
-from host_sync.viewer.entry import Entry
-from host_sync.viewer.heights import Heights
+from host_sync.viewer.entry import Entry, Heights
 
 SOURCE: Final = "recipe"
 RATIO_POINTS: Final = 201
@@ -53,7 +52,7 @@ class Measuring:
         """
         # Compiled code is loaded when it is first needed, so that the list appears at once.
         from host_sync.measurement.measure import measure
-        from host_sync.measurement.measurement_text import as_record
+        from host_sync.measurement.measurement import as_record
         from host_sync.measurement.recipe import recipe_text
 
         surface = self._surface(entry, page)

@@ -26,11 +26,10 @@ from host_sync.results.files import HEIGHT_SIGMA_FILE, SAMPLES_FILE
 from host_sync.results.record import ResultRecord, SequenceRecord
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue
-from host_sync.viewer.entry import DifferenceRecord, Entry, Record, key_of
-from host_sync.viewer.heights import Heights
+from host_sync.viewer.entry import DifferenceRecord, Entry, Heights, Record, key_of
 from host_sync.viewer.pictures import frame_picture, grey_frames, sigma_picture, thumbnail
-from host_sync.viewer.profile import MeasuredLine, measure_line
 from host_sync.viewer.pyramid import Level, level_count, padded_shape
+from host_sync.viewer.responses import MeasuredLine, measure_line
 
 if TYPE_CHECKING:
     from host_sync.measurement.recipe import Recipe

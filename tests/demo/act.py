@@ -22,10 +22,10 @@ from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, MayLift, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
-from host_sync.integration.compile_ahead import compile_integration
+from host_sync.integration.integrate import compile_integration
 from host_sync.library.library import Library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 from host_sync.reconstruction.from_library import LibraryReconstructor
 from tests.demo.pictures import Chapter, summary_row, write_pictures
 from tests.demo.programme import ACTS, BALL_RADIUS_MM, VERDICT, Act, Shown

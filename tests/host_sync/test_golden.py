@@ -21,8 +21,8 @@ from host_sync.export.raw_scan import export_raw
 from host_sync.library.index import Query, search
 from host_sync.library.library import Library
 from host_sync.library.verification import verify_library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 
 GOLDEN = Path(__file__).parent.parent / "golden"
 COUNTS_CRC32 = {"record-1": 3667700596}

@@ -35,9 +35,9 @@ from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import read_frame
 from host_sync.library.index import Query, search
 from host_sync.library.library import Library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.paired_devices import PairedDevice, SyncState
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 
 Case = Callable[[np.random.Generator], None]
 LONGEST_S = 20

@@ -22,8 +22,7 @@ import numpy as np
 from device.io.atomic import RESULTS
 from hal.simulator.operator import gallery_names, specimen
 from host_sync.likeness.descriptor import LENGTH, describe
-from host_sync.likeness.index import Entry, LikenessIndex
-from host_sync.likeness.search import nearest, updated
+from host_sync.likeness.search import Entry, LikenessIndex, nearest, updated
 from host_sync.results.files import RECORD_FILE
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "apparatus"))

@@ -14,9 +14,13 @@ from typing import Final
 import numpy as np
 
 from host_sync.filters.form import PolynomialForm
-from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
-from host_sync.iso25178.autocorrelation import Autocorrelation, decay
-from host_sync.iso25178.material_ratio import functional_parameters
+from host_sync.iso25178.areal_parameters import (
+    Autocorrelation,
+    decay,
+    functional_parameters,
+    height_parameters,
+    hybrid_parameters,
+)
 from tests.benchmarks.measurement.gwyddion_oracle import Gwyddion
 from tests.benchmarks.measurement.surfaces import PITCH_UM, FloatArray, surfaces, torn
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array
-from host_sync.integration.edges import EdgeRule
 from host_sync.integration.integrate import Integrator, integrate
+from host_sync.integration.levels import EdgeRule
 from tests.benchmarks.speed import peer_dct
 from tests.benchmarks.speed.fields import KnownField, holed_field, plain_field
 from tests.benchmarks.speed.floor import read_slopes_write_heights

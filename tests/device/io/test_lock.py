@@ -20,8 +20,8 @@ from device.store.store import BundleStore
 from host_sync.errors import LibraryError
 from host_sync.library.library import Library
 from host_sync.library.verification import verify_library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 
 LEASE = ".retrograph.lease"
 

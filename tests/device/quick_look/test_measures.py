@@ -16,7 +16,7 @@ from device.quick_look.measures import (
 from device.surface.fields import HeightMap
 from device.tui.drawing.text import measure_text
 from host_sync.filters.form import PolynomialForm
-from host_sync.filters.profile_filter import profile_mean
+from host_sync.filters.gaussian_regression import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters
 from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.recipe import ProfileTable

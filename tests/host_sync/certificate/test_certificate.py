@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from device.surface.fields import HeightMap
-from host_sync.certificate.certificate import Certificate, HashedFile, verdict_of
 from host_sync.certificate.certificate_job import RECORD_FILE, write_certificate
+from host_sync.certificate.certificate_pages import Certificate, HashedFile, verdict_of
 from host_sync.certificate.characteristics import CheckedSpecimen, characteristics
-from host_sync.certificate.specimen_file import MeasureTable, ScanTable, SpecimenFile, read_specimen
-from host_sync.certificate.specimen_measurement import judge, measured_quantity
+from host_sync.certificate.specimen_measurement import (
+    MeasureTable,
+    ScanTable,
+    SpecimenFile,
+    judge,
+    measured_quantity,
+    read_specimen,
+)
 from host_sync.errors import MeasurementError
 from host_sync.results.reader import ResultRecord, ResultSurface
 from tests.apparatus.printing import needs_browser

@@ -13,8 +13,8 @@ from device.bundles.scan import ScanBundle
 from device.store.store import BundleStore
 from host_sync.cli.main import main
 from host_sync.library.library import Library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 
 
 @pytest.fixture

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.cli.commands import OLD_COMMANDS
-from host_sync.cli.main import app, main
+from host_sync.cli.main import OLD_COMMANDS, app, main
 
 ABSENT = ["--library", "absent"]
 """Every command of a library refuses it before it does anything."""

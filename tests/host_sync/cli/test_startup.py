@@ -7,8 +7,7 @@ import sys
 from typing import get_args
 
 from host_sync.calibration.calibrate import METHODS
-from host_sync.cli.commands import COMMANDS
-from host_sync.cli.main import app
+from host_sync.cli.main import COMMANDS, app
 from host_sync.cli.reconstruct import MethodName
 
 

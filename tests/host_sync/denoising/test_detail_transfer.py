@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import BallSamples
-from host_sync.denoising.bounded_shrinkage import keeps_detail, shrinkage_of
-from host_sync.denoising.detail_transfer import TransferBench
+from host_sync.denoising.bounded_shrinkage import TransferBench, keeps_detail, shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.slope_colour import SlopeColour
+from host_sync.denoising.null_colour import SlopeColour
 
 SHAPE = (200, 300)
 WHITE = np.array([1.0, 0.116, 0.0226])

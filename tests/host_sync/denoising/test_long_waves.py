@@ -8,9 +8,7 @@ import pytest
 from device.imaging.flat_field import NormalizedImage
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.long_waves import shrink_but_long_waves
-from host_sync.denoising.shrinkage_kernel import shrink
-from host_sync.denoising.wavelet_shrinkage import detail_planes
+from host_sync.denoising.wavelet_shrinkage import detail_planes, shrink, shrink_but_long_waves
 from host_sync.kernels.planes import in_planes
 
 SIGMA = 0.01

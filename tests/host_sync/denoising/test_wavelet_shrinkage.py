@@ -10,16 +10,17 @@ import pytest
 
 from device.imaging.flat_field import NormalizedImage
 from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.shrinkage_kernel import TILE_PX, shrink
 from host_sync.denoising.wavelet_shrinkage import (
     HALO_PX,
     LEAK,
     LEVELS,
     SHARES,
+    TILE_PX,
     Shrinkage,
     detail_planes,
     directional_energy,
     noise_energy,
+    shrink,
     with_parent,
 )
 from host_sync.kernels.planes import in_planes

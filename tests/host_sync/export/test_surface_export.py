@@ -266,7 +266,7 @@ def test_a_format_that_cannot_hold_a_long_field_leaves_the_others_and_can_be_tri
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = write_result(np.zeros((3, 70_000), np.float32))
-    monkeypatch.setattr("host_sync.export.gwy.LARGEST", 1000)
+    monkeypatch.setattr("host_sync.export.surface_formats.LARGEST", 1000)
     out = tmp_path / "out"
     forms = ("gwy", "gsf", "sdf", "x3p", "sur", "al3d", "tmd", "tiff", "png", "npz", "csv", "ply")
     assert export(folder, out, *forms) == 1

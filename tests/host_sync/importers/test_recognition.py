@@ -20,8 +20,8 @@ from host_sync.cli.main import main
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.frames.linear_light import mark_pattern
-from host_sync.importers.ball_survey import look_at, survey_radius
 from host_sync.importers.draft import Said
+from host_sync.importers.image_folder import look_at, survey_radius
 from host_sync.importers.recognition import IMPORTERS, Kind, read_folder, recognize
 
 

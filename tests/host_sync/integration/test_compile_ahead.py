@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from device.surface.fields import GradientField
-from host_sync.integration.compile_ahead import compile_integration
-from host_sync.integration.integrate import integrate
+from host_sync.integration.integrate import compile_integration, integrate
 from host_sync.kernels.compile_time import CompileTime
 
 

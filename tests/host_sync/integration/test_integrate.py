@@ -10,8 +10,8 @@ from scipy.sparse.linalg import spsolve
 
 from device.surface.fields import GradientField
 from host_sync.errors import IntegrationError
-from host_sync.integration.edges import EdgeRule
 from host_sync.integration.integrate import Integrator, integrate
+from host_sync.integration.levels import EdgeRule
 
 SHAPES = [(3, 3), (3, 200), (5, 7), (127, 65), (64, 64)]
 

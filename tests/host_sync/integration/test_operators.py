@@ -12,14 +12,20 @@ from scipy import ndimage
 from device.surface.fields import GradientField, full_rectangle
 from device.surface.poisson_dct import integrate_dct
 from host_sync.errors import IntegrationError
-from host_sync.integration.coarse_solver import direct_solver, pseudo_inverse, write_divergence
 from host_sync.integration.coarsening import coarsen, coarsen_pixels
 from host_sync.integration.components import label_components
 from host_sync.integration.conjugate_gradients import laplacian
-from host_sync.integration.edges import EdgeRule, edge_coefficients
-from host_sync.integration.full_multigrid import smoothing
+from host_sync.integration.full_multigrid import direct_solver, pseudo_inverse, smoothing, write_divergence
 from host_sync.integration.integrate import Integrator, integrate
-from host_sync.integration.levels import FineLevel, GridLevel, coarser_levels, new_level, unit_weights
+from host_sync.integration.levels import (
+    EdgeRule,
+    FineLevel,
+    GridLevel,
+    coarser_levels,
+    edge_coefficients,
+    new_level,
+    unit_weights,
+)
 from host_sync.integration.sweep import sweep
 from host_sync.integration.transfer import (
     add_correction,

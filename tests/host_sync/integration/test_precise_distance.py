@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from host_sync.integration.precise_distance import distance_px
+from host_sync.integration.zero_level import distance_px
 
 
 @pytest.fixture(autouse=True)

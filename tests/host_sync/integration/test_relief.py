@@ -5,7 +5,7 @@ import pytest
 
 from device.surface.fields import GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
-from host_sync.integration.relief import is_relief
+from host_sync.integration.datum import is_relief
 from host_sync.integration.zero_level import find_datum
 
 SHAPE = (240, 320)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import GradientField, HeightMap
-from host_sync.integration.sinking_skin import MAX_SHARE, _unbent_at, height_left_um
-from host_sync.integration.zero_level import SPREAD_SHARE, Datum
+from host_sync.integration.zero_level import MAX_SHARE, SPREAD_SHARE, Datum, _unbent_at, height_left_um
 
 SHAPE = (240, 320)
 PITCH_UM = 20.0

@@ -2,9 +2,8 @@ import numba
 import numpy as np
 import pytest
 
-from host_sync.johnson2009.gradient_kernel import estimate_slopes
+from host_sync.johnson2009.gradient_kernel import GateSettings, decay, estimate_slopes, judge_candidate
 from host_sync.johnson2009.lookup_table import LookupTable
-from host_sync.johnson2009.refinement import GateSettings, decay, judge_candidate
 
 JACOBIAN = np.array([[0.8, 0.1], [-0.5, 0.7], [-0.3, -0.9]])
 CENTRE = np.array([1.0, 1.1, 0.9])

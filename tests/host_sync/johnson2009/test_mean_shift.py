@@ -1,6 +1,6 @@
 import numpy as np
 
-from host_sync.johnson2009.mean_shift import BANDWIDTH_FLOOR, MAX_CLUSTERS, cluster_bins
+from host_sync.johnson2009.lookup_table import BANDWIDTH_FLOOR, MAX_CLUSTERS, cluster_bins
 
 
 def clustered(*bins):

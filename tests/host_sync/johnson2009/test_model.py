@@ -8,7 +8,7 @@ from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration_report.paper_figures import ambiguity_figure, most_ambiguous, reflectance_figure
 from host_sync.johnson2009.lookup_table import slopes_of_bin
 from host_sync.johnson2009.model import estimate_gradients, fit_paper_model
-from host_sync.johnson2009.reflectance_surface import reflectance_surface
+from host_sync.johnson2009.spherical_harmonics import reflectance_surface
 
 SIZE = 220
 NOISE = 0.01

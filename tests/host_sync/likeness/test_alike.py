@@ -16,8 +16,7 @@ from hal.simulator.operator import specimen
 from host_sync.cli.main import main
 from host_sync.errors import Indescribable
 from host_sync.likeness.descriptor import describe
-from host_sync.likeness.index import INDEX_FILE
-from host_sync.likeness.search import alike, nearest, updated
+from host_sync.likeness.search import INDEX_FILE, alike, nearest, updated
 
 
 def gallery_press(name: str, turn: float, seed: int) -> HeightMap:

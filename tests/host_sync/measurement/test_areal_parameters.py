@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from host_sync.iso25178.areal_parameters import height_parameters, hybrid_parameters
-from host_sync.iso25178.autocorrelation import Autocorrelation, decay, texture_direction_deg
-from host_sync.iso25178.material_ratio import MaterialRatioCurve, functional_parameters
+from host_sync.iso25178.areal_parameters import (
+    Autocorrelation,
+    MaterialRatioCurve,
+    decay,
+    functional_parameters,
+    height_parameters,
+    hybrid_parameters,
+    texture_direction_deg,
+)
 from host_sync.iso25178.power_spectrum import RadialSpectrum
 
 PITCH_UM = 5.0

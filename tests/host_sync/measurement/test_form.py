@@ -5,7 +5,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm
-from host_sync.measurement.skin_places import SkinPlaces
+from host_sync.measurement.geometry import SkinPlaces
 from host_sync.measurement.sphere import SphereForm, fit_sphere
 
 SHAPE = (180, 240)

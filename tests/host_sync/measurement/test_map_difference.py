@@ -8,7 +8,7 @@ import pytest
 from device.surface.fields import HeightMap
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
-from host_sync.measurement.map_difference import map_difference
+from host_sync.measurement.foreign_file import map_difference
 from tests.benchmarks.accuracy.real_sets import data_folder
 
 ROW, COLUMN = np.mgrid[:60, :80].astype(np.float32)

@@ -5,8 +5,7 @@ import pytest
 
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.gaussian_regression import ALPHA, gaussian_mean
-from host_sync.profile.profile_line import Profile
-from host_sync.profile.profile_parameters import profile_parameters
+from host_sync.profile.profile_line import Profile, profile_parameters
 from tests.benchmarks.measurement import compare, gwyddion_oracle, surfaces
 
 NAMES = ("sine", "tilt and noise", "grooves", "spheres", "fractal")

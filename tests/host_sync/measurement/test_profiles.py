@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from host_sync.errors import MeasurementError
-from host_sync.filters.profile_filter import profile_mean
-from host_sync.measurement.geometry import Region, bend_deg, between_places, between_planes_deg, pit_volumes
-from host_sync.measurement.skin_places import SkinPlaces
-from host_sync.profile.profile_line import Line, Profile, profile_along
-from host_sync.profile.profile_parameters import profile_parameters
+from host_sync.filters.gaussian_regression import profile_mean
+from host_sync.measurement.geometry import Region, SkinPlaces, bend_deg, between_places, between_planes_deg, pit_volumes
+from host_sync.profile.profile_line import Line, Profile, profile_along, profile_parameters
 from host_sync.profile.step_height import StepEdges, find_edges, step_height_um
 
 PITCH_UM = 4.0

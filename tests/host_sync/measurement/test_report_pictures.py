@@ -8,8 +8,8 @@ import numpy as np
 from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.surface.fields import HeightMap
 from host_sync.report.content import Picture, Report
-from host_sync.report.html_page import html_page
 from host_sync.report.pictures import movie_picture, overview_picture
+from host_sync.report.writing import html_page
 
 FIELD = HeightMap(np.zeros((1000, 1400), np.float32), 10.0)
 

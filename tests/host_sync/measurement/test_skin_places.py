@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from device.surface.fields import HeightMap
+from host_sync.measurement.geometry import SkinPlaces
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import (
     AngleTable,
@@ -21,7 +22,6 @@ from host_sync.measurement.recipe import (
     StepTable,
     VolumeTable,
 )
-from host_sync.measurement.skin_places import SkinPlaces
 from host_sync.results.reader import ResultSurface
 from host_sync.results.record import ResultRecord
 

@@ -14,11 +14,11 @@ from scipy.ndimage import gaussian_filter
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
 from host_sync.measurement.circle import find_circle
+from host_sync.measurement.geometry import SkinPlaces, painted
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.measurement import Measurement
-from host_sync.measurement.painted_mask import painted
-from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.quantity import Quantity, verdict_of
 from host_sync.measurement.recipe import (
     CircleTable,
     LevelTable,
@@ -31,8 +31,6 @@ from host_sync.measurement.recipe import (
     read_recipe,
     recipe_text,
 )
-from host_sync.measurement.skin_places import SkinPlaces
-from host_sync.measurement.tolerance import verdict_of
 
 Write = Callable[..., Path]
 SHAPE = (180, 240)

@@ -31,9 +31,9 @@ from host_sync.errors import HostError
 from host_sync.library.index import Query, search
 from host_sync.library.library import Library
 from host_sync.library.verification import verify_library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.pull import pull
+from host_sync.offload.source import DirectorySource
 
 SHIM = Path(__file__).parents[2] / "apparatus" / "io_faults.c"
 ROOT = Path(__file__).parents[3]

@@ -42,7 +42,7 @@ from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
-from host_sync.offload import discovery, pairing
+from host_sync.offload import discovery, paired_devices
 from host_sync.offload.discovery import Announcement
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.resolve import Address
@@ -95,11 +95,11 @@ def agree(_code: str) -> bool:
 
 def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     keys = tmp_path / "pairing" / "authorized_keys"
-    own = pairing.own_card(devices, "my bench!")
+    own = paired_devices.own_card(devices, "my bench!")
     with window(device_card, keys) as (port, opened):
         assert (opened.outcome, opened.seconds_left) == (None, 120.0)
-        device = pairing.pair_over_network("127.0.0.1", port, own, compare(opened))
-        pairing.keep(devices, device, replace=False)
+        device = paired_devices.pair_over_network("127.0.0.1", port, own, compare(opened))
+        paired_devices.keep(devices, device, replace=False)
         assert opened.wait().public_key == own.public_key
     assert opened.outcome is not None
     assert (opened.outcome.sentence, opened.seconds_left) == ("paired with my-bench-", 0.0)
@@ -111,7 +111,7 @@ def test_the_code_opens_the_door_both_ways(devices: PairedDevices, device_card: 
         "127.0.0.1",
     )
     with pytest.raises(SourceError, match="no device waits there"):
-        pairing.pair_over_network("127.0.0.1", port, own, agree)
+        paired_devices.pair_over_network("127.0.0.1", port, own, agree)
 
 
 def opened_code(opened: PairingWindow) -> str:
@@ -165,7 +165,7 @@ def test_three_codes_that_nobody_confirms_close_the_window(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
     keys = tmp_path / "authorized_keys"
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     with window(device_card, keys) as (port, opened):
         with socket.create_connection(("127.0.0.1", port)) as nonsense:
             nonsense.sendall(b"GET / HTTP/1.1\r\n\r\n")
@@ -179,7 +179,7 @@ def test_three_codes_that_nobody_confirms_close_the_window(
                 return False
 
             with pytest.raises(PairingError, match="if the codes differ, something else answers"):
-                pairing.pair_over_network("127.0.0.1", port, own, differs)
+                paired_devices.pair_over_network("127.0.0.1", port, own, differs)
             until(lambda: opened.shown is None)
             assert (opened.outcome is None) == (number < 2)
         with pytest.raises(PairingRefused, match="3 codes were shown and not confirmed"):
@@ -191,7 +191,7 @@ def test_three_codes_that_nobody_confirms_close_the_window(
 def test_a_push_that_came_before_the_code_could_be_read_confirms_nothing(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
-    own, confirmed = pairing.own_card(devices, "bench"), []
+    own, confirmed = paired_devices.own_card(devices, "bench"), []
     with window(device_card, tmp_path / "keys") as (port, opened):
 
         def hasty(code: str) -> bool:
@@ -201,14 +201,14 @@ def test_a_push_that_came_before_the_code_could_be_read_confirms_nothing(
             confirmed.append(opened.confirm(code))
             return True
 
-        pairing.pair_over_network("127.0.0.1", port, own, hasty)
+        paired_devices.pair_over_network("127.0.0.1", port, own, hasty)
     assert confirmed == [False, True]
 
 
 def test_what_is_confirmed_here_alone_is_paired_nowhere(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     with window(device_card, tmp_path / "keys") as (port, opened):
 
         def closes(_code: str) -> bool:
@@ -216,7 +216,7 @@ def test_what_is_confirmed_here_alone_is_paired_nowhere(
             return True
 
         with pytest.raises(PairingError, match="was not confirmed on the device"):
-            pairing.pair_over_network("127.0.0.1", port, own, closes)
+            paired_devices.pair_over_network("127.0.0.1", port, own, closes)
     assert not (tmp_path / "keys").exists()
 
 
@@ -226,13 +226,15 @@ def test_callers_who_say_nothing_keep_nobody_out(
     with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
         for _ in range(50):
             stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-        device = pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), compare(opened))
+        device = paired_devices.pair_over_network(
+            "127.0.0.1", port, paired_devices.own_card(devices, "bench"), compare(opened)
+        )
     assert device.device_id == device_card.device_id
 
 
 def test_one_code_is_shown_at_a_time(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     """All conversations reach the last step before the first is confirmed; the others are turned away."""
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     with window(device_card, tmp_path / "keys") as (port, opened), ExitStack() as stack:
         talks = []
         for _ in range(3):
@@ -265,14 +267,14 @@ def test_nobody_coming_closes_the_window(devices: PairedDevices, device_card: De
         with pytest.raises(PairingRefused, match="no workstation came"):
             opened.wait()
         with pytest.raises(SourceError, match="no device waits there"):
-            pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), agree)
+            paired_devices.pair_over_network("127.0.0.1", port, paired_devices.own_card(devices, "bench"), agree)
     assert not (tmp_path / "keys").exists()
 
 
 def test_a_window_that_is_closed_lets_nobody_in(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     with (
         window(device_card, tmp_path / "keys") as (port, opened),
         socket.create_connection(("127.0.0.1", port)) as call,
@@ -294,13 +296,15 @@ def test_a_key_that_cannot_be_stored_is_told_on_the_screen(
     (tmp_path / "keys").mkdir()
     with window(device_card, tmp_path / "keys") as (port, opened):
         with pytest.raises(PairingError):
-            pairing.pair_over_network("127.0.0.1", port, pairing.own_card(devices, "bench"), compare(opened))
+            paired_devices.pair_over_network(
+                "127.0.0.1", port, paired_devices.own_card(devices, "bench"), compare(opened)
+            )
         with pytest.raises(PairingRefused, match="key cannot be stored"):
             opened.wait()
 
 
 def test_a_device_opens_its_window_by_one_call(store: BundleStore, devices: PairedDevices, tmp_path: Path) -> None:
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     (tmp_path / "host.pub").write_text(f"{own.public_key} root@device\n")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         setup = PairingSetup(taken.getsockname()[1], 2222, host_key=tmp_path / "host.pub", keys=tmp_path / "keys")
@@ -310,7 +314,7 @@ def test_a_device_opens_its_window_by_one_call(store: BundleStore, devices: Pair
         told = how_to_call(opened, setup, store)
         assert f"--port {setup.port}" in told
         assert f"{store.device_id}, key {fingerprint_of(own.public_key)}" in told
-        device = pairing.pair_over_network("127.0.0.1", setup.port, own, compare(opened))
+        device = paired_devices.pair_over_network("127.0.0.1", setup.port, own, compare(opened))
     assert (device.device_id, device.user, device.port) == (store.device_id, "retrosync", 2222)
     assert own.public_key in (tmp_path / "keys" / "authorized_keys").read_text()
     for wrong in ({"ssh_port": 0}, {"user": "no user"}):
@@ -322,33 +326,33 @@ def test_a_memory_card_pairs_a_device_without_a_screen(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
     card = tmp_path / "card"
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     with pytest.raises(PairingError, match="is no folder"):
-        pairing.pair_by_card(card, own, None)
+        paired_devices.pair_by_card(card, own, None)
     card.mkdir()
-    assert pairing.pair_by_card(card, own, None) is None
+    assert paired_devices.pair_by_card(card, own, None) is None
     assert take_host_cards(card) == [own]
     leave_device_card(card, device_card)
-    device = pairing.pair_by_card(card, own, None)
+    device = paired_devices.pair_by_card(card, own, None)
     assert device is not None
     assert (device.host, device.host_key) == ("rg00c0ffee.local", device_card.host_key)
     (card / "retrograph-pair" / "device.json").write_text("{}")
     with pytest.raises(PairingError, match=r"device\.json"):
-        pairing.pair_by_card(card, own, None)
+        paired_devices.pair_by_card(card, own, None)
 
 
 def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
     (tmp_path / "card").mkdir()
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     leave_device_card(tmp_path / "card", device_card)
-    device = pairing.pair_by_card(tmp_path / "card", own, "here")
+    device = paired_devices.pair_by_card(tmp_path / "card", own, "here")
     assert device is not None
-    pairing.keep(devices, device, replace=False)
+    paired_devices.keep(devices, device, replace=False)
     anew = msgspec.structs.replace(device, host_key=own.public_key)
     with pytest.raises(PairingError, match="another host key than when it was paired"):
-        pairing.keep(devices, anew, replace=False)
+        paired_devices.keep(devices, anew, replace=False)
     assert devices.all() == [device]
-    pairing.keep(devices, anew, replace=True)
+    paired_devices.keep(devices, anew, replace=True)
     assert devices.find("c0ffee") == anew
     with pytest.raises(NoSource, match="of the paired devices: rg00c0ffee"):
         devices.find("other")
@@ -357,14 +361,14 @@ def test_a_changed_key_is_kept_only_when_asked(devices: PairedDevices, device_ca
 def test_a_device_set_up_anew_takes_the_place_of_what_it_was_only_when_asked(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
-    own = pairing.own_card(devices, "bench")
+    own = paired_devices.own_card(devices, "bench")
     before = PairedDevice(device_id="rg1", host="bench.local", port=22, user="retrosync", host_key=own.public_key)
-    pairing.keep(devices, before, replace=False)
+    paired_devices.keep(devices, before, replace=False)
     anew = msgspec.structs.replace(before, device_id="rg2", host_key=device_card.host_key)
     with pytest.raises(PairingError, match=r"bench\.local: is rg2 and was rg1: if you set it up again.*--replace"):
-        pairing.keep(devices, anew, replace=False)
+        paired_devices.keep(devices, anew, replace=False)
     assert devices.find("bench.local") == before
-    pairing.keep(devices, anew, replace=True)
+    paired_devices.keep(devices, anew, replace=True)
     assert devices.all() == [anew]
     assert devices.find("bench.local") == anew
 
@@ -408,11 +412,11 @@ def test_codes_that_nobody_compares_and_a_port_that_is_none_are_explained(
 
 
 def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: DeviceCard, tmp_path: Path) -> None:
-    own = pairing.own_card(devices, "bench")
-    assert pairing.own_card(devices, "bench") == own
+    own = paired_devices.own_card(devices, "bench")
+    assert paired_devices.own_card(devices, "bench") == own
     (tmp_path / "card").mkdir()
     leave_device_card(tmp_path / "card", device_card)
-    device = pairing.pair_by_card(tmp_path / "card", own, None)
+    device = paired_devices.pair_by_card(tmp_path / "card", own, None)
     assert device is not None
     devices.save(device)
     files = [path for path in devices.folder.rglob("*") if path.is_file()]
@@ -420,7 +424,7 @@ def test_secrets_are_for_their_owner_alone(devices: PairedDevices, device_card: 
     assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
     (devices.folder / "id_ed25519").chmod(0o644)
     with pytest.raises(HostError, match="chmod 600"):
-        pairing.own_card(devices, "bench")
+        paired_devices.own_card(devices, "bench")
 
 
 def test_the_key_of_sshd_is_read_without_its_comment(tmp_path: Path) -> None:

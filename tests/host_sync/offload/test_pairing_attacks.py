@@ -32,7 +32,7 @@ from device.pairing_service.service import authorize
 from device.pairing_service.window import READING_S, PairingWindow
 from hal.clock import VirtualClock
 from host_sync.errors import HostError
-from host_sync.offload import pairing
+from host_sync.offload import paired_devices
 from host_sync.offload.paired_devices import PairedDevice
 
 Change = Callable[[bytes, "Middle"], bytes | None]
@@ -111,7 +111,7 @@ class Scene:
         thread = threading.Thread(target=serve, args=(listening,))
         thread.start()
         try:
-            return pairing.pair_over_network("127.0.0.1", port, self.host, same_code)
+            return paired_devices.pair_over_network("127.0.0.1", port, self.host, same_code)
         except HostError as error:
             assert "\n" not in str(error)  # noqa: PT017
             return None

@@ -22,9 +22,9 @@ from device.io.lock import locked_directory
 from device.store.store import BundleStore
 from host_sync.errors import LibraryError, NoSource
 from host_sync.library.library import Library
-from host_sync.offload.directory import DirectorySource
 from host_sync.offload.ingest import ReceiptWriter
 from host_sync.offload.pull import PullProgress, pull
+from host_sync.offload.source import DirectorySource
 
 PublishScan = Callable[..., ScanBundle]
 PublishCalibration = Callable[[BundleStore], CalibrationBundle]

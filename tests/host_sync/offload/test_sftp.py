@@ -30,14 +30,13 @@ from host_sync.cli.main import main
 from host_sync.errors import HostError, SourceError, SourceLost, SourceRefused
 from host_sync.library.library import Library
 from host_sync.library.verification import verify_library
-from host_sync.offload.directory import DirectorySource
-from host_sync.offload.ingest import ReceiptWriter
+from host_sync.offload.ingest import PullReport, ReceiptWriter
 from host_sync.offload.mirror import SftpPlace, mirror_to_sftp
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 from host_sync.offload.pull import pull, sync
-from host_sync.offload.pull_log import PullReport
 from host_sync.offload.sftp import REQUEST_BYTES, SftpSource
 from host_sync.offload.sftp_link import Timeouts
+from host_sync.offload.source import DirectorySource
 
 HANDSHAKE_BYTES = 16_384
 

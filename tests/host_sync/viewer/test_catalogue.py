@@ -12,8 +12,7 @@ from device.bundles.scan import ScanBundle
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.viewer.cache import Cache
 from host_sync.viewer.catalogue import Catalogue, ListFilter
-from host_sync.viewer.entry import result_entry
-from host_sync.viewer.heights import KEPT, Heights
+from host_sync.viewer.entry import KEPT, Heights, result_entry
 
 
 def test_a_library_shows_results_and_else_quick_looks(library: tuple[Path, list[ScanBundle]]) -> None:

@@ -3,7 +3,7 @@ import pytest
 
 from host_sync.errors import ViewError
 from host_sync.profile.profile_line import Line
-from host_sync.viewer.profile import MeasuredLine, measure_line
+from host_sync.viewer.responses import MeasuredLine, measure_line
 
 Z = np.random.default_rng(3).normal(size=(40, 60)).astype(np.float32)
 
