@@ -11,6 +11,7 @@ import pytest
 from device.bundles.receipt import Receipt, receipt_name
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle
+from device.store import store as store_module
 from device.store.store import BundleStore
 
 
@@ -59,7 +60,7 @@ def test_what_floods_the_receipts_is_removed_and_receipts_stay(
 def test_an_inbox_beyond_its_limits_loses_the_largest_and_keeps_what_was_pushed(
     store: BundleStore, scan: ScanBundle, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(store, "MAX_INBOX_BYTES", 4 << 20)
+    monkeypatch.setattr(store_module, "MAX_INBOX_BYTES", 4 << 20)
     inbox = store.root / "inbox"
     (inbox / "pushed").mkdir()
     (inbox / "pushed" / "model.npz").write_bytes(bytes(1 << 20))
@@ -74,7 +75,7 @@ def test_an_inbox_beyond_its_limits_loses_the_largest_and_keeps_what_was_pushed(
     for number in range(100):
         (inbox / f"empty-{number}").mkdir()
     store.make_room(1)
-    assert len(list(inbox.iterdir())) == store.MAX_INBOX_ENTRIES
+    assert len(list(inbox.iterdir())) == store_module.MAX_INBOX_ENTRIES
     assert scan.directory.is_dir()
 
 
