@@ -1,10 +1,4 @@
-"""An orderly end: termination signals are handled like Ctrl-C, so that context managers run and the lights go off.
-
-Ctrl-C and termination while a program imports its first modules: they end it at once, in one sentence.
-
-Nothing is open or half written yet, and an exception inside an import can be dropped, or leave a compiled module half
-made. This module imports nothing of the project, so that it is in place before the first slow import.
-"""
+"""An orderly end: termination signals are handled like Ctrl-C, so that context managers run and the lights go off."""
 
 from __future__ import annotations
 
@@ -91,6 +85,11 @@ def _is_importing(frame: FrameType | None) -> bool:
         frame = frame.f_back
     return False
 
+
+# Ctrl-C and termination while a program imports its first modules: they end it at once, in one sentence.
+#
+# Nothing is open or half written yet, and an exception inside an import can be dropped, or leave a compiled module half
+# made. This module imports nothing of the project, so that it is in place before the first slow import.
 
 STOPPED = 130
 

@@ -1,11 +1,6 @@
 """A press as a movie: raw frames of half the size from touch to depth, and the best at full size.
 
 The best is averaged with the frames after it that did not move: a press that is held still has less noise.
-
-The mean of frames of one press that did not move.
-
-A pixel's noise falls with the root of the number of frames. The sum keeps fractions of a count: its counts, black and
-white level are multiples of a single frame's. A pixel that is saturated in any frame stays so.
 """
 
 from __future__ import annotations
@@ -130,6 +125,11 @@ def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tup
 def _small(frame: RawFrame) -> Float32Array:
     return box_smoothed(downsample_bayer(frame).rgb)
 
+
+# The mean of frames of one press that did not move.
+#
+# A pixel's noise falls with the root of the number of frames. The sum keeps fractions of a count: its counts, black and
+# white level are multiples of a single frame's. A pixel that is saturated in any frame stays so.
 
 MAX_CHANGE: Final = 0.008
 """Change of smoothed light, 99th percentile relative to the brightest, from which a frame has moved: an edge that is

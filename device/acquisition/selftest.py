@@ -1,7 +1,4 @@
-"""The self-test: every part in order, each light as the camera sees it, and a sentence that names the faulty part.
-
-A check that the root file system is as read-only as the kernel's command line asks.
-"""
+"""The self-test: every part in order, each light as the camera sees it, and a sentence that names the faulty part."""
 
 from __future__ import annotations
 
@@ -241,6 +238,8 @@ def _push(hardware: Hardware) -> Finding:
         return Finding("button push", "failed", sentence)
     return Finding("button push", "ok", f"pushed for {press.held_s:.2f} s")
 
+
+# A check that the root file system is as read-only as the kernel's command line asks.
 
 PROC = Path("/proc")
 WRITABLE: Final = (

@@ -2,13 +2,6 @@
 
 Candidates come from ramps in two directions, centres and contacts from rings (`refinement`); what
 cannot be used for training is returned with the reason, so that the person who pressed knows what to change.
-
-How far from its apex the skin follows a ball.
-
-The *ramp*, first harmonic of a ring over its distance from the centre, is level near the apex, bends with the
-reflectance towards the border of the contact and falls fast where the skin lifts off. One ball alone cannot tell the
-bend from the fall, so that its contact is cut early; among the balls of a frame, which share the reflectance, a ball
-that falls before the others was pressed less deep.
 """
 
 from __future__ import annotations
@@ -265,6 +258,13 @@ def _energies(rings: RadialProfiles, contact: float) -> tuple[float, float]:
     uneven = (weight * (2.0 * np.abs(second) ** 2 + rings.rest[inside])).sum()
     return float(uneven), float((weight * 2.0 * size**2).sum())
 
+
+# How far from its apex the skin follows a ball.
+#
+# The *ramp*, first harmonic of a ring over its distance from the centre, is level near the apex, bends with the
+# reflectance towards the border of the contact and falls fast where the skin lifts off. One ball alone cannot tell the
+# bend from the fall, so that its contact is cut early; among the balls of a frame, which share the reflectance, a ball
+# that falls before the others was pressed less deep.
 
 CONTACT_RINGS: Final = tuple(0.1 + 0.05 * k for k in range(27))
 """Distances of the rings that show a contact, shares of the ball's radius."""

@@ -6,12 +6,6 @@ the shading leaves the straight ramp, chiefly at the rim. Shadows, perspective a
 hundredths of the radius. The *apex*: there the skin is flat, so that intensity returns to 1 but for a common
 brightening. It has no such bias, but an uneven reference moves it. So the evenness of the frame's flat skin decides
 how far the apex is followed.
-
-Places in a press where the skin may wrap a ball.
-
-Near the apex of a ball every light draws a ramp, and three lights draw ramps in different directions: a patch is a
-candidate where the weaker of two independent ramps is strong beside what both leave of its deviation from the flat
-skin. This holds for any three lights and any skin, so that no reflectance model is needed yet.
 """
 
 from __future__ import annotations
@@ -224,6 +218,12 @@ def _fit_cubic(
     rest = (weight[..., None] * (reduced.deviation[window] - design @ fit) ** 2).sum()
     return fit, float(np.sqrt(rest / max(3.0 * weight.sum(), 1e-6)))
 
+
+# Places in a press where the skin may wrap a ball.
+#
+# Near the apex of a ball every light draws a ramp, and three lights draw ramps in different directions: a patch is a
+# candidate where the weaker of two independent ramps is strong beside what both leave of its deviation from the flat
+# skin. This holds for any three lights and any skin, so that no reflectance model is needed yet.
 
 PATCH: Final = 0.45
 """Radius of the patch that is fitted, share of the ball's radius."""

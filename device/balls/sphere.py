@@ -1,14 +1,6 @@
 """A ball pressed into the skin, and its training pixels.
 
 Inside its contact the skin is the sphere, so that every pixel there has a known slope (paper, section 5.1).
-
-Intensity of a ball's pixels without most of their noise: what an inverse map is taught with.
-
-A map that is fitted from noisy colours to true slopes reads flatter than the truth: least squares finds the mean slope
-of all pixels that look so, and noise mixes gentler ones among them (regression dilution; Fuller, "Measurement Error
-Models", 1987). It flattens all of an object by one share, which integration keeps, while noise itself averages out. On
-a ball intensity is smooth, so that its noise can be averaged beforehand: a polynomial over the contact follows the
-ball, and a Gaussian over neighbours inside the contact what the polynomial leaves.
 """
 
 from __future__ import annotations
@@ -159,6 +151,14 @@ def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp],
     inside = (column - ball.column) ** 2 + (row - ball.row) ** 2 <= ball.contact_radius_px**2
     return row[inside], column[inside]
 
+
+# Intensity of a ball's pixels without most of their noise: what an inverse map is taught with.
+#
+# A map that is fitted from noisy colours to true slopes reads flatter than the truth: least squares finds the mean
+# slope of all pixels that look so, and noise mixes gentler ones among them (regression dilution; Fuller, "Measurement
+# Error Models", 1987). It flattens all of an object by one share, which integration keeps, while noise itself averages
+# out. On a ball intensity is smooth, so that its noise can be averaged beforehand: a polynomial over the contact
+# follows the ball, and a Gaussian over neighbours inside the contact what the polynomial leaves.
 
 DEGREE: Final = 5
 SIGMA_PX: Final = 2.0

@@ -1,7 +1,4 @@
-"""The scan bundle: one press of the button, one directory, immutable once published.
-
-Record of the movie of a press, in the bundle of its scan.
-"""
+"""The scan bundle: one press of the button, one directory, immutable once published."""
 
 from __future__ import annotations
 
@@ -246,6 +243,8 @@ def read_scan(directory: Path) -> ScanBundle:
     """
     return ScanBundle(directory, read_record(directory, SCAN_MANIFEST, decode_scan))
 
+
+# Record of the movie of a press, in the bundle of its scan.
 
 MAX_MOVIE_FRAMES: Final = 200
 

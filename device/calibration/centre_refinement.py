@@ -2,8 +2,6 @@
 
 Ball centres come from images and are off by a pixel or so; each is moved to where the map learned from the *other*
 balls puts it. Moving centres to fit a model of the same ball would only shrink the residual.
-
-Calls that do not depend on each other, on all cores: numpy works outside the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -186,6 +184,8 @@ def _outer(balls: Sequence[Ball]) -> MaskArray:
         open_side[number] = np.diff(np.append(angle, angle[0] + 2.0 * np.pi)).max() >= OPEN_SIDE
     return open_side
 
+
+# Calls that do not depend on each other, on all cores: numpy works outside the interpreter's lock.
 
 Result = TypeVar("Result")
 

@@ -2,12 +2,6 @@
 
 Two measurements share no assumption: the lights' shadows on the ball, which need their positions in the board profile,
 and the inverse map of the last calibration of the same gel and lights, if there is one.
-
-A ball's radius from where each light's own shadow begins on it, without an inverse map: for the first calibration.
-
-On a ball's side away from a light the skin is dark from where the light's rays only graze it. There the skin is tilted
-by the light's elevation φ, so that the terminator is R sin φ away from the ball's centre whatever the skin's
-reflectance. φ follows from the light's position in the board profile, R from the pixel pitch.
 """
 
 from __future__ import annotations
@@ -111,6 +105,12 @@ def measured_radius_shares(samples: BallSamples, last: InverseMap) -> np.ndarray
 def _by_shadow(stated_mm: float, shadows_mm: Sequence[float]) -> float | None:
     return float(np.median(shadows_mm)) / stated_mm if len(shadows_mm) >= MIN_SHADOWS else None
 
+
+# A ball's radius from where each light's own shadow begins on it, without an inverse map: for the first calibration.
+#
+# On a ball's side away from a light the skin is dark from where the light's rays only graze it. There the skin is
+# tilted by the light's elevation φ, so that the terminator is R sin φ away from the ball's centre whatever the skin's
+# reflectance. φ follows from the light's position in the board profile, R from the pixel pitch.
 
 WEDGE_RAD: Final = 0.35
 RAYS: Final = 9

@@ -3,8 +3,6 @@
 The gain of a band is the slope of the line through (true, read) of its pixels. Noise of the reading does not flatten a
 line on the truth, but an error of the truth would: so each ball's true slopes are first moved by the mean by which its
 own readings differ, which is what its centre is off. The standard uncertainty is the jackknife's over balls.
-
-Readings of balls that a map was not trained on: the material of every statement about how true it is.
 """
 
 from __future__ import annotations
@@ -88,6 +86,9 @@ def _sums_of(slope: Float64Array, truth: Float64Array) -> tuple[float, float]:
 
 def _ratios(sums: Iterable[Float64Array]) -> Float64Array:
     return np.array([part[0] / max(part[1], 1e-12) for part in sums])
+
+
+# Readings of balls that a map was not trained on: the material of every statement about how true it is.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

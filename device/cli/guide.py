@@ -1,9 +1,4 @@
-"""`retroscan guide`: back to the spot of an earlier scan, touch by touch; nothing is stored.
-
-`retroscan cover`: an area larger than the field, press by press; every press is a scan for `retrosync mosaic`.
-
-`retroscan focus`: how sharp the camera sees, frame by frame, while a person turns the lens.
-"""
+"""`retroscan guide`: back to the spot of an earlier scan, touch by touch; nothing is stored."""
 
 from __future__ import annotations
 
@@ -83,6 +78,8 @@ def guide(
     return NOT_REACHED
 
 
+# `retroscan cover`: an area larger than the field, press by press; every press is a scan for `retrosync mosaic`.
+
 NOT_COVERED = 3
 """Exit code after the last press allowed, with a part of the area missing."""
 
@@ -146,6 +143,8 @@ def cover(
                 return NOT_COVERED
     return NOT_COVERED
 
+
+# `retroscan focus`: how sharp the camera sees, frame by frame, while a person turns the lens.
 
 BAR: Final = 40
 

@@ -1,7 +1,4 @@
-"""`retroscan calibrate`, `scan`, `run`, `selftest` and `lights-off`: what drives the instrument without its screens.
-
-`retroscan run`: the instrument without a screen. Button and indicator do the work, events become lines of text.
-"""
+"""`retroscan calibrate`, `scan`, `run`, `selftest` and `lights-off`: what drives the instrument without its screens."""
 
 from __future__ import annotations
 
@@ -258,6 +255,8 @@ def cue_lift(hardware: Hardware, say: Callable[[str], None]) -> None:
         say("You may lift.")
     hardware.operator.ask(MayLift())
 
+
+# `retroscan run`: the instrument without a screen. Button and indicator do the work, events become lines of text.
 
 Print = Callable[[str], None]
 PrintError = Callable[[object], None]

@@ -1,10 +1,6 @@
 """`retroscan`: the handheld's command line.
 
 Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.
-
-Choice of the board profile: `--board`, else the environment, else what the installation wrote.
-
-Every command of `retroscan` with where its function is and examples; nothing of the instrument is imported here.
 """
 
 from __future__ import annotations
@@ -36,6 +32,8 @@ from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
 from device.shutdown import signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
 from hal.profile_files import profile_names
+
+# Every command of `retroscan` with where its function is and examples; nothing of the instrument is imported here.
 
 OLD_COMMANDS: Final = {
     "watch": NewWords(("run",)),
@@ -185,6 +183,8 @@ CALIBRATIONS: Final = (
 )
 """Actions of `retroscan calibrations`."""
 
+
+# Choice of the board profile: `--board`, else the environment, else what the installation wrote.
 
 VARIABLE: Final = "RETROSCAN_BOARD"
 BOARD_FILE: Final = Path("/etc/retrograph/board")

@@ -1,10 +1,4 @@
-"""`retroscan` and `retroscan tui`: the screens on this terminal. Only this command needs textual.
-
-Output to a terminal that may vanish.
-
-textual writes on a thread of its own, which an error of the terminal ends; its queue then fills up, and the program
-waits for it for ever, deaf to signals. So an error is not raised: it is reported once, and later output is dropped.
-"""
+"""`retroscan` and `retroscan tui`: the screens on this terminal. Only this command needs textual."""
 
 from __future__ import annotations
 
@@ -172,6 +166,12 @@ def power_off(service_folder: Path) -> None:
             f"{service_folder}: cannot ask this machine to switch off ({error.strerror}); all scans are stored and the "
             "lights are off: switch it off by hand"
         ) from error
+
+
+# Output to a terminal that may vanish.
+#
+# textual writes on a thread of its own, which an error of the terminal ends; its queue then fills up, and the program
+# waits for it for ever, deaf to signals. So an error is not raised: it is reported once, and later output is dropped.
 
 
 class TerminalOutput:

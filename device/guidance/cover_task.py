@@ -1,10 +1,4 @@
-"""The task to cover an area: what each press adds, as a map, and as a sentence with the way to the next press.
-
-Covering an area press by press: what is covered, and the way to the next press, which must overlap an earlier one.
-
-The first press stands at the area's upper left corner and gives the directions. Every further press is placed against
-the earlier ones (`placement`); one that cannot be placed covers nothing.
-"""
+"""The task to cover an area: what each press adds, as a map, and as a sentence with the way to the next press."""
 
 from __future__ import annotations
 
@@ -130,6 +124,11 @@ class CoverTask:
         overlap = f", overlap {self.stand.overlap:.0%}" if len(self._covering.stands) > 1 else ""
         return f"Covered {area}{overlap}. Move {next_press}{straight}."
 
+
+# Covering an area press by press: what is covered, and the way to the next press, which must overlap an earlier one.
+#
+# The first press stands at the area's upper left corner and gives the directions. Every further press is placed against
+# the earlier ones (`placement`); one that cannot be placed covers nothing.
 
 CELL_MM: Final = 0.5
 """Side of the cells that the area is divided into."""

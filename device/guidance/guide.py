@@ -1,12 +1,4 @@
-"""The press guide: one reading per live frame, from intensities, the tabulated inverse map and a small integration.
-
-The press guide's reading of a live frame, and the one advice that follows from it.
-
-Raw frames downsampled to small colour images: one Bayer quad per block, cheap enough for every live frame.
-
-Why not the camera's own low-resolution stream: its grey values have been through the image pipeline and no longer
-measure light, and slope and depth need colour. Picking quads costs a fraction of a millisecond.
-"""
+"""The press guide: one reading per live frame, from intensities, the tabulated inverse map and a small integration."""
 
 from __future__ import annotations
 
@@ -211,6 +203,8 @@ def _lean_side(lean: tuple[float, float]) -> str:
     return _SIDES[round(np.arctan2(lean[1], lean[0]) / (np.pi / 4.0)) % 8]
 
 
+# The press guide's reading of a live frame, and the one advice that follows from it.
+
 Advice = FaultKind | Literal["calibrate", "hold still", "ready"]
 
 
@@ -263,6 +257,11 @@ def advise(figures: PressFigures, still_s: float) -> tuple[Advice, str]:
 def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
+
+# Raw frames downsampled to small colour images: one Bayer quad per block, cheap enough for every live frame.
+#
+# Why not the camera's own low-resolution stream: its grey values have been through the image pipeline and no longer
+# measure light, and slope and depth need colour. Picking quads costs a fraction of a millisecond.
 
 MAX_COLUMNS: Final = 160
 

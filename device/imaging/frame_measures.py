@@ -2,10 +2,6 @@
 
 Sharpness is the ratio of fine to coarser contrast at the strongest edges. Only edges can be sharp: a frame with gentle
 slopes alone has no measurable focus and gets None.
-
-Focus figure: fine contrast of whatever the camera sees, for turning a lens to its sharpest place.
-
-Unlike a scan's sharpness it needs neither a reference nor an edge, and compares frames of one scene only.
 """
 
 from __future__ import annotations
@@ -48,6 +44,10 @@ def shaded_fraction(intensity: NormalizedImage) -> float:
     shaded = red | green | blue
     return float(shaded[intensity.valid].mean()) if intensity.valid.any() else 0.0
 
+
+# Focus figure: fine contrast of whatever the camera sees, for turning a lens to its sharpest place.
+#
+# Unlike a scan's sharpness it needs neither a reference nor an edge, and compares frames of one scene only.
 
 FOCUS_SCALES_PX: Final = (0.7, 1.4)
 """Standard deviations of the Gaussians whose difference is fine contrast, in pairs of pixels."""

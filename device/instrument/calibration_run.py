@@ -1,9 +1,4 @@
-"""The guided calibration in the instrument: frames by button or screen, computation on the other thread.
-
-The exposure balance in the instrument: one ball press near each light; the next calibration uses what was found.
-
-The ball that calibrates when nobody names another.
-"""
+"""The guided calibration in the instrument: frames by button or screen, computation on the other thread."""
 
 from __future__ import annotations
 
@@ -162,6 +157,8 @@ class CalibrationRun:
         self._hardware.operator.ask(self._guide.request)
 
 
+# The exposure balance in the instrument: one ball press near each light; the next calibration uses what was found.
+
 KEPT = "The active calibration keeps its own light, so scans stay as they are; the next calibration uses the new one."
 STOPPED = "Exposure balance stopped: nothing has changed."
 
@@ -254,5 +251,7 @@ class BalanceRun:
         self._states.update(balance=progress)
         self._done()
 
+
+# The ball that calibrates when nobody names another.
 
 BALL_RADIUS_MM: Final = 3.0

@@ -1,7 +1,4 @@
-"""The scans on the device for review: verdict, mark, note, offload state.
-
-Deleting scans, with undo until the instrument is switched off.
-"""
+"""The scans on the device for review: verdict, mark, note, offload state."""
 
 from __future__ import annotations
 
@@ -119,6 +116,9 @@ def _entry(
         replaced_by=replaced_by,
         movie=record.movie,
     )
+
+
+# Deleting scans, with undo until the instrument is switched off.
 
 
 class DeletedScans:

@@ -1,7 +1,4 @@
-"""The live stream: lights on, frame after frame to the press guide; lights off after a while without activity.
-
-A figure of every live frame that a screen asks for, such as the focus; it ends by itself after a while.
-"""
+"""The live stream: lights on, frame after frame to the press guide; lights off after a while without activity."""
 
 from __future__ import annotations
 
@@ -154,6 +151,8 @@ class LiveLoop:
         """
         return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9
 
+
+# A figure of every live frame that a screen asks for, such as the focus; it ends by itself after a while.
 
 MAX_READING_S: Final = 600.0
 """Maximum time: the lights stay on meanwhile, which warms the gel."""

@@ -1,7 +1,4 @@
-"""Back to the spot of an earlier scan: pushes compare a touch with it and say the way; nothing is stored.
-
-An area larger than the field, press by press: every scan is placed in it, and the state says the way to the next.
-"""
+"""Back to the spot of an earlier scan: pushes compare a touch with it and say the way; nothing is stored."""
 
 from __future__ import annotations
 
@@ -79,6 +76,9 @@ class SpotSearch:
         self._states.update(spot=replace(spot, sentence=sentence(found), is_reached=reached, way=way_back(found)))
         self._states.publish(Info(sentence(found)))
         show(self._hardware, "good" if reached else "retake" if isinstance(found, Unplaced) else "doubtful")
+
+
+# An area larger than the field, press by press: every scan is placed in it, and the state says the way to the next.
 
 
 class AreaCover:

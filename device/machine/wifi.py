@@ -2,8 +2,6 @@
 
 A password goes to nmcli's standard input as a `passwd-file`; the profile that is being tried has a name of its own, so
 that a failure leaves every known network as it was.
-
-Runs the system's own programs; nothing secret is ever an argument, because every user can read those.
 """
 
 from __future__ import annotations
@@ -181,6 +179,8 @@ def _escaped(password: str) -> str:
     """The password for a `passwd-file`, which trims blanks and reads backslashes: most bytes in octal."""
     return "".join(chr(byte) if chr(byte).isalnum() and byte < 128 else f"\\{byte:03o}" for byte in password.encode())
 
+
+# Runs the system's own programs; nothing secret is ever an argument, because every user can read those.
 
 TIMEOUT_S: Final = 20.0
 

@@ -4,13 +4,6 @@ This is numeric comparison, as Bluetooth pairs two screens: the workstation comm
 its own, the workstation opens the commitment, and the code is a hash of both cards and both numbers. Someone in between
 must fix what each side hashes before the last number is known, so each code that a person compares is one guess in
 10**6. Nothing here is secret; SSH itself proves at every connection that a side holds the key on its card.
-
-Records over a socket, one JSON line each, limited in time and size: the channel of both sides of pairing.
-
-Pairing without a screen: each side leaves its card in a folder of the memory card and reads the other's.
-
-The holder of the memory card is trusted as the device's owner, but the card's file system is not: links are not
-followed, and only small regular files are read.
 """
 
 from __future__ import annotations
@@ -108,6 +101,8 @@ def _hash(*parts: Record | str) -> str:
     return hashlib.sha256(msgspec.json.encode((_CONTEXT, *parts))).hexdigest()
 
 
+# Records over a socket, one JSON line each, limited in time and size: the channel of both sides of pairing.
+
 RecordT = TypeVar("RecordT", bound=Record)
 
 
@@ -157,6 +152,11 @@ class PairingChannel:
             raise TimeoutError("too slow")
         return left_s
 
+
+# Pairing without a screen: each side leaves its card in a folder of the memory card and reads the other's.
+#
+# The holder of the memory card is trusted as the device's owner, but the card's file system is not: links are not
+# followed, and only small regular files are read.
 
 FOLDER: Final = "retrograph-pair"
 _DEVICE: Final = "device.json"

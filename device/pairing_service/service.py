@@ -1,7 +1,4 @@
-"""Opening this device's pairing window, for a screen, the button or a command.
-
-Keys of the workstations that may fetch scans: one line each, as sshd reads it.
-"""
+"""Opening this device's pairing window, for a screen, the button or a command."""
 
 from __future__ import annotations
 
@@ -24,6 +21,8 @@ from device.pairing_service.window import WINDOW_S, PairingWindow, ShownCode
 from device.store.store import BundleStore
 from hal.interfaces import Clock
 from hal.validation import explain_validation
+
+# Keys of the workstations that may fetch scans: one line each, as sshd reads it.
 
 SSHD_HOST_KEY: Final = Path("/etc/ssh/ssh_host_ed25519_key.pub")
 _SECRET: Final = 0o600

@@ -13,8 +13,6 @@ Beside a press little skin may be left untouched. The largest group of calm bloc
 is that skin, if the frame also shows the steep skin at an object's edge: a gentle object over the whole field has none,
 and any of its places may look like untouched skin under other lights. A flat face in the middle is raised, which makes
 it darker by about as much as a light is to be known to.
-
-Check of a reference: untouched skin's light is smooth, without spots, and shaped as the last reference's.
 """
 
 from __future__ import annotations
@@ -298,6 +296,8 @@ def _as_levels(level: Float32Array) -> Levels:
     red, green, blue = (float(value) for value in level)
     return red, green, blue
 
+
+# Check of a reference: untouched skin's light is smooth, without spots, and shaped as the last reference's.
 
 SMOOTH_DEGREE: Final = 4
 """Degree in position of a polynomial that follows the logarithm of near lights over a field, to about one percent."""

@@ -1,10 +1,4 @@
-"""The verdict on a press, from its binned frame and the state of lights and gel. It needs no reconstruction.
-
-Light levels at the field's border and the light driver's flags, compared with the calibration.
-
-A press rarely reaches the border, where the skin then matches the reference and intensity is 1. Driver flags are
-advisory because they are sometimes wrong: they alone never reject a press that the camera saw well lit.
-"""
+"""The verdict on a press, from its binned frame and the state of lights and gel. It needs no reconstruction."""
 
 from __future__ import annotations
 
@@ -269,6 +263,11 @@ def drift_complaints(
     if reference_change is not None and reference_change > DRIFTED:
         yield "doubtful", f"the untouched skin has changed by {reference_change:.1%}: wipe the gel, or calibrate again"
 
+
+# Light levels at the field's border and the light driver's flags, compared with the calibration.
+#
+# A press rarely reaches the border, where the skin then matches the reference and intensity is 1. Driver flags are
+# advisory because they are sometimes wrong: they alone never reject a press that the camera saw well lit.
 
 BORDER_FRACTION: Final = 1 / 12
 """Width of the border as a fraction of the field's shorter side."""

@@ -1,10 +1,4 @@
-"""A check standard measured in a quick look: radius of a ball, height of a step, Ra of a roughness specimen.
-
-Bias of a ball's radius in the quick look, from the calibration's own balls and from its height.
-
-A light of a few millimetres' height comes nearer to skin that is pressed towards it, and shades its slopes more. An
-inverse map knows the height of the balls that it was trained on only: balls that stand lower read too flat.
-"""
+"""A check standard measured in a quick look: radius of a ball, height of a step, Ra of a roughness specimen."""
 
 from __future__ import annotations
 
@@ -199,6 +193,11 @@ def _middle(z_um: Float32Array, fraction: float) -> Float32Array:
     top, left = round(rows * (1.0 - fraction) / 2.0), round(columns * (1.0 - fraction) / 2.0)
     return z_um[top : rows - top, left : columns - left]
 
+
+# Bias of a ball's radius in the quick look, from the calibration's own balls and from its height.
+#
+# A light of a few millimetres' height comes nearer to skin that is pressed towards it, and shades its slopes more. An
+# inverse map knows the height of the balls that it was trained on only: balls that stand lower read too flat.
 
 PositionMm = tuple[float, float, float]
 

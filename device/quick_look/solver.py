@@ -1,8 +1,6 @@
 """Quick look: a reduced height map of one raw frame, on the device, at once.
 
 bin -> intensity -> tabulated inverse map -> DCT integrator. The workstation's reconstruction shares photometry and map.
-
-The quick look as files of a scan bundle: heights for programs, a picture for people.
 """
 
 from __future__ import annotations
@@ -84,6 +82,8 @@ def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     z_um = integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um)
     return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)
 
+
+# The quick look as files of a scan bundle: heights for programs, a picture for people.
 
 HEIGHT_FILE: Final = "quick-look-um.tif"
 PICTURE_FILE: Final = "quick-look.png"

@@ -1,10 +1,6 @@
 """Choices of the operator, small files so that they survive a restart: settings, labels, presets, marks, exposure.
 
 What is damaged counts as not there, and the usual choice holds.
-
-A small record of the store as a file that is replaced in one step.
-
-The mounted gel and the presses of each gel: small files of the store, replaced in one step.
 """
 
 from __future__ import annotations
@@ -22,6 +18,8 @@ from device.errors import RecordError, StoreError
 from device.io.atomic import replace_file
 from device.io.os_errors import explain_os_error
 from hal.board_profile import GelConfig
+
+# A small record of the store as a file that is replaced in one step.
 
 Kept = TypeVar("Kept", bound=Record)
 
@@ -196,6 +194,8 @@ def write_mark(root: Path, mark: ScanMark) -> None:
         raise RecordError(f"there is no scan {mark.scan_id} in {root}: choose one from the history")
     MARKS.write(root, mark, mark.scan_id)
 
+
+# The mounted gel and the presses of each gel: small files of the store, replaced in one step.
 
 _REMEDY: Final = "remove it and name the gel again with `retroscan gel`"
 

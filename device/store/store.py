@@ -2,11 +2,6 @@
 
 <root>/scans/<id>/  <root>/calibrations/<id>/  <root>/active.json  <root>/device.json
 <root>/receipts/<id>.json  <root>/inbox/<id>/        writable for workstations
-
-Allowance of workstations on the device: receipts of stored bundles, and an inbox of limited size.
-
-Both folders are writable with any workstation's key. They are tidied when the store needs room, so that what
-they hold does not cost a scan its place.
 """
 
 from __future__ import annotations
@@ -307,6 +302,11 @@ def default_store(service_store: Path = SERVICE_STORE) -> Path:
     except RuntimeError as error:
         raise StoreError("this user has no home folder for scans: set XDG_DATA_HOME, or name a store") from error
 
+
+# Allowance of workstations on the device: receipts of stored bundles, and an inbox of limited size.
+#
+# Both folders are writable with any workstation's key. They are tidied when the store needs room, so that what
+# they hold does not cost a scan its place.
 
 MAX_RECEIPT_BYTES: Final = 1 << 16
 MAX_INBOX_BYTES: Final = 256 << 20

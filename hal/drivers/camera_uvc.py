@@ -9,8 +9,6 @@ The sensor measured one colour a pixel and the camera interpolated the other two
 one was measured. Here each pixel keeps one again: the mean of that colour over the pixel and its neighbours, by 1 2 1
 along rows and columns. That takes together what interpolation spread over neighbours, and each colour stays where it
 was seen: a mean of 2x2 pixels would shift red against blue by a pixel.
-
-Choice of the camera on USB that is the sensor: found once by a part of its name, and from then on by all of it.
 """
 
 from __future__ import annotations
@@ -299,6 +297,9 @@ class UvcCamera:
 
     def _not_started(self) -> CameraError:
         return CameraError(f"camera {self.camera_id} is not started: enter it before asking for a frame")
+
+
+# Choice of the camera on USB that is the sensor: found once by a part of its name, and from then on by all of it.
 
 
 class ChosenCamera:

@@ -1,7 +1,4 @@
-"""Three lights on a driver chip: names, limits and switching off; registers are in the chip's own file.
-
-The line that lets a light driver's outputs through: with nobody at the line a pull keeps the skin dark and cool.
-"""
+"""Three lights on a driver chip: names, limits and switching off; registers are in the chip's own file."""
 
 from __future__ import annotations
 
@@ -218,6 +215,9 @@ class ChipLights:
                 self._gate.close()
             finally:
                 self._chip.close()
+
+
+# The line that lets a light driver's outputs through: with nobody at the line a pull keeps the skin dark and cool.
 
 
 class SwitchedLine(Protocol):

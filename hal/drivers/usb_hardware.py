@@ -1,9 +1,4 @@
-"""A sensor on USB as hardware: its camera, its lights, and the terminal's Enter key as the button.
-
-The Enter key of the terminal as the push button, for sensors without a button.
-
-While another part of the program reads the terminal key by key, such as the screens, the keys are left to it.
-"""
+"""A sensor on USB as hardware: its camera, its lights, and the terminal's Enter key as the button."""
 
 from __future__ import annotations
 
@@ -67,6 +62,10 @@ def _kernel_video() -> VideoStack:
         raise DriverMissing("sensors on USB are read through Linux's video interface: use a Linux machine") from error
     return KernelVideo()
 
+
+# The Enter key of the terminal as the push button, for sensors without a button.
+#
+# While another part of the program reads the terminal key by key, such as the screens, the keys are left to it.
 
 KEY_HELD_S: Final = 0.1
 """A key counts as held for this long: a terminal reports no release."""

@@ -1,7 +1,4 @@
-"""Cameras of this machine through the kernel's video interface, without a library in between.
-
-Structures and calls of the kernel's video interface (`linux/videodev2.h`) for 64-bit machines.
-"""
+"""Cameras of this machine through the kernel's video interface, without a library in between."""
 
 from __future__ import annotations
 
@@ -161,6 +158,8 @@ def _ioctl(handle: int, name: str, argument: ctypes._CData) -> None:
 
         fcntl.ioctl(handle, CALLS[name], argument)
 
+
+# Structures and calls of the kernel's video interface (`linux/videodev2.h`) for 64-bit machines.
 
 CAPTURE: Final = 1
 """Type of buffers that a camera fills (`V4L2_BUF_TYPE_VIDEO_CAPTURE`)."""

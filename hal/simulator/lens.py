@@ -2,8 +2,6 @@
 
 The skin is described on the camera's own pixel grid: z of the point that each pixel sees. The truth is therefore on the
 same grid as the frames, and nothing is resampled.
-
-Blur of a lens from its f-number: diffraction, pixel and defocus in quadrature. Geometry and Airy's pattern alone.
 """
 
 from __future__ import annotations
@@ -126,6 +124,8 @@ class Lens:
         determinant = xx * yy - xy**2
         return (yy * p - xy * q) / determinant, (xx * q - xy * p) / determinant
 
+
+# Blur of a lens from its f-number: diffraction, pixel and defocus in quadrature. Geometry and Airy's pattern alone.
 
 WAVELENGTH_UM: Final = 0.53
 GEL_INDEX: Final = 1.41

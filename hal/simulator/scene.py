@@ -5,8 +5,6 @@ The skin has a pigment: a coat is never quite even, and what is fixed to the ski
 Light of LEDs behind a block's facet, or free in air: lobe, bore and refraction at the facet.
 
 Block and gel are taken for one body, as their indices differ by 5 %. Lengths in mm.
-
-Light on the skin: near point lights, fall-off, cosine law, metal flakes, cast shadows. Physics, no fitted model.
 """
 
 from __future__ import annotations
@@ -205,6 +203,8 @@ def expose(
     counts = collected * np.float32(dn_per_e) + np.float32(sensor.black_level_dn)
     return np.asarray(np.clip(np.rint(counts), 0.0, sensor.white_level_dn), np.uint16)
 
+
+# Light on the skin: near point lights, fall-off, cosine law, metal flakes, cast shadows. Physics, no fitted model.
 
 UNIT_DISTANCE_MM: Final = 25.0
 """Distance of the light at which a white skin facing it has radiance 1."""

@@ -1,7 +1,4 @@
-"""One picture of a calibration: presses with their balls, used or not and why, errors by place, the skin at rest.
-
-Pictures of presses side by side: where balls are, which are used, and why the others are not.
-"""
+"""One picture of a calibration: presses with their balls, used or not and why, errors by place, the skin at rest."""
 
 from __future__ import annotations
 
@@ -127,6 +124,8 @@ def _draw_rest(axes: Axes, at_rest: HeightMap | None, why_not: str) -> None:
     axes.tick_params(labelsize=7)
     axes.figure.colorbar(drawn, ax=axes, shrink=0.9)
 
+
+# Pictures of presses side by side: where balls are, which are used, and why the others are not.
 
 USED_COLOUR, REJECTED_COLOUR, GIVEN_COLOUR = "#ffffff", "#ffb000", "#40e0ff"
 UNUSED_TITLE: Final = "#a03000"

@@ -1,7 +1,4 @@
-"""The certificate as a report, which `host_sync.report` sets into pages.
-
-The calibration certificate of an instrument: what it is, how it agrees with specimens, and its characteristics.
-"""
+"""The certificate as a report, which `host_sync.report` sets into pages."""
 
 from __future__ import annotations
 
@@ -161,6 +158,8 @@ def pictures_of(certificate: Certificate) -> Iterator[Picture]:
     size = (round(SIZE_IN[0] * DPI), round(SIZE_IN[1] * DPI))
     yield Picture("Error of each specimen with its ± (k = 2); grey: ± of the certified value", stream.getvalue(), size)
 
+
+# The calibration certificate of an instrument: what it is, how it agrees with specimens, and its characteristics.
 
 SCHEMA: Final = "retrograph.certificate/1"
 Verdict = Literal["agrees", "does not agree", "not judged"]

@@ -7,8 +7,6 @@ The period of a certified grating along a line, by a least-squares fit of its ha
 
 Counting profile elements (RSm) is good to a fraction of an element; the phase of a wave over the whole line is not
 limited by that.
-
-A certified specimen, as its `STEP.toml` describes it: what it is, its value with its ±, and scans of it.
 """
 
 from __future__ import annotations
@@ -245,6 +243,8 @@ def _unexplained(along: Float64Array, z_um: Float64Array, period_um: float) -> f
     left = z_um - design @ np.linalg.lstsq(design, z_um, rcond=None)[0]
     return float((left**2).sum() / max(float((straight**2).sum()), 1e-12))
 
+
+# A certified specimen, as its `STEP.toml` describes it: what it is, its value with its ±, and scans of it.
 
 Kind = Literal["step", "groove", "sphere", "roughness", "period", "flat"]
 Axis = Literal["x", "y"]

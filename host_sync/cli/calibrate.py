@@ -1,7 +1,4 @@
-"""`retrosync calibrate`: a calibration as one file; or, with certified specimens, the certificate of an instrument.
-
-Calibrations as commands name them, and what is said of where each came from.
-"""
+"""`retrosync calibrate`: a calibration as one file; or, with certified specimens, the certificate of an instrument."""
 
 from __future__ import annotations
 
@@ -120,6 +117,8 @@ def _lines(certificate: Certificate) -> list[str]:
     specimens, characteristics, *_ = pages_of(certificate).tables
     return [" | ".join(row) for row in (*specimens.rows, *characteristics.rows)]
 
+
+# Calibrations as commands name them, and what is said of where each came from.
 
 Tell = Callable[[str], None]
 

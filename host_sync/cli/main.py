@@ -1,8 +1,6 @@
 """`retrosync`: the workstation's command line.
 
 Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.
-
-Every command with where its function is: a module is imported when its command is called, and not before.
 """
 
 from __future__ import annotations
@@ -21,6 +19,8 @@ from device.errors import DeviceError
 from device.shutdown import signals_as_keyboard_interrupt
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
 from host_sync.errors import HostError, SourceError
+
+# Every command with where its function is: a module is imported when its command is called, and not before.
 
 COMMANDS: Final = (
     Command(

@@ -1,7 +1,4 @@
-"""`retrosync reconstruct` and `retrosync paper-figures`.
-
-`retrosync reconstruct --watch`: reconstructs and measures whatever a pull brings.
-"""
+"""`retrosync reconstruct` and `retrosync paper-figures`."""
 
 from __future__ import annotations
 
@@ -287,6 +284,8 @@ def paper_figures(
         sys.stdout.write(f"{path}\n")
     return DONE
 
+
+# `retrosync reconstruct --watch`: reconstructs and measures whatever a pull brings.
 
 MAX_EVERY_S: Final = 86_400.0
 """A day."""

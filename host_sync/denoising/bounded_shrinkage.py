@@ -2,12 +2,6 @@
 
 Held-out balls are smooth and always ask for more; so what bounds the strength is what is left of fine patterns at the
 calibration's own noise.
-
-How much of a fine pattern shrinkage keeps, by amplitude and wavelength, at a calibration's own noise.
-
-Sinusoids and ridges are drawn in the calibration's own colours, its noise is added, the frames are shrunk, and slopes
-are read back through the colours' change with slope. A sinusoid keeps what stands in phase with it, relative to the
-same reading without noise and shrinkage. A ridge's Gaussian is one pixel wide at half its height.
 """
 
 from __future__ import annotations
@@ -106,6 +100,12 @@ def keeps_detail(transfer: DetailTransfer) -> bool:
     widest_px = max(WIDEST_RIDGE_PX, transfer.raw_ridge_px)
     return bool(np.isfinite(ridge_px) and ridge_px <= widest_px and transfer.at(BOUND_DEG, BOUND_PX) >= MIN_KEPT)
 
+
+# How much of a fine pattern shrinkage keeps, by amplitude and wavelength, at a calibration's own noise.
+#
+# Sinusoids and ridges are drawn in the calibration's own colours, its noise is added, the frames are shrunk, and slopes
+# are read back through the colours' change with slope. A sinusoid keeps what stands in phase with it, relative to the
+# same reading without noise and shrinkage. A ridge's Gaussian is one pixel wide at half its height.
 
 SINGULAR: Final = 1e12
 """Condition of the equations for slope from which they have no single solution."""

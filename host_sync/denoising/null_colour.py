@@ -8,11 +8,6 @@ by itself. Detail of the surface has nothing along that direction, and stays.
 
 Both the direction and what it says are polynomials of first degree in stereographic slope and in place. A matt skin's
 direction is one, but for a factor: its colours are linear in the normal.
-
-What colour a slope has: the root of intensity as a polynomial in slope and place, fitted to a calibration's balls.
-
-The inverse map goes the other way. This one is only as good as it must be to draw a test pattern as the instrument
-would see it; its own errors are the same with and without noise.
 """
 
 from __future__ import annotations
@@ -156,6 +151,11 @@ def _reading_change(inverse_map: InverseMap, intensity: Float32Array, place: Flo
     )
     return np.asarray((more - less) / (2.0 * STEP))
 
+
+# What colour a slope has: the root of intensity as a polynomial in slope and place, fitted to a calibration's balls.
+#
+# The inverse map goes the other way. This one is only as good as it must be to draw a test pattern as the instrument
+# would see it; its own errors are the same with and without noise.
 
 SLOPE_DEGREE: Final = 4
 PLACE_DEGREE: Final = 1

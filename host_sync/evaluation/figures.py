@@ -1,9 +1,4 @@
-"""The paper's figures of a calibration: reflectance maps, ambiguous bins, errors of a held-out ball.
-
-Errors of a held-out ball, by each method, and their figure (paper, section 6 and Fig. 5).
-
-The figure shows level curves at 2 % and 4 % of the radius and at 2° and 4°.
-"""
+"""The paper's figures of a calibration: reflectance maps, ambiguous bins, errors of a held-out ball."""
 
 from __future__ import annotations
 
@@ -103,6 +98,10 @@ def _write(figure: Figure, path: Path, dpi: int) -> Path:
         raise ResultError(f"{path} cannot be written ({error.strerror or error}): choose another place") from error
     return path
 
+
+# Errors of a held-out ball, by each method, and their figure (paper, section 6 and Fig. 5).
+#
+# The figure shows level curves at 2 % and 4 % of the radius and at 2° and 4°.
 
 MARGIN: Final = 1.25
 """Half width of the window around a ball, contact radii."""

@@ -1,12 +1,4 @@
-"""A height map as triangles: right-handed, x to the right, y up, z to the camera; invalid pixels are holes.
-
-Mesh formats: STL, OBJ and PLY with places in mm, GLB with places in metres.
-
-STL (binary) holds triangles with normals, but neither units nor colours. OBJ is text, with neither units nor colours
-that all readers share. PLY (binary) holds a colour for the height of each vertex.
-
-GLB is glTF 2.0 in one file: normals, and a colour for the height.
-"""
+"""A height map as triangles: right-handed, x to the right, y up, z to the camera; invalid pixels are holes."""
 
 from __future__ import annotations
 
@@ -203,6 +195,14 @@ def blocks(faces: NDArray[np.int32], size: int = 65_536) -> Iterator[NDArray[np.
     """The triangles in blocks, which bounds memory."""
     for first in range(0, len(faces), size):
         yield faces[first : first + size]
+
+
+# Mesh formats: STL, OBJ and PLY with places in mm, GLB with places in metres.
+#
+# STL (binary) holds triangles with normals, but neither units nor colours. OBJ is text, with neither units nor colours
+# that all readers share. PLY (binary) holds a colour for the height of each vertex.
+#
+# GLB is glTF 2.0 in one file: normals, and a colour for the height.
 
 
 def write_stl(file: BinaryIO, mesh: Mesh, name: str, base_mm: float | None = None) -> None:

@@ -9,14 +9,6 @@ AL3D, Alicona, version 1: tags of 52 bytes, a comment, then float32 in metres, r
 SDF of ISO 25178-71, binary, ISO-1.0: 81 bytes, then float64 in µm with their scale to metres. Invalid pixels are NaN.
 Gwyddion 2.62 takes the standard's own marker, the lowest number of the type, for a height of -1.8e308; it masks NaN, as
 surfalize does, and no program can take NaN for a height.
-
-X3P of ISO 25178-72 (ISO 5436-2): a zip with an XML record and float32 heights in metres, NaN where invalid.
-
-Rows are stored from the top down, as other writers of areal instruments do and as readers show them.
-
-Gwyddion's native format: height, uncertainty and mask of invalid pixels, float64 in metres.
-
-A mask marks pixels and does not replace their values, so invalid pixels must hold a number: the mean of the valid ones.
 """
 
 from __future__ import annotations
@@ -173,6 +165,10 @@ def _moment(written_utc: str) -> bytes:
         return b"0" * 12
 
 
+# X3P of ISO 25178-72 (ISO 5436-2): a zip with an XML record and float32 heights in metres, NaN where invalid.
+#
+# Rows are stored from the top down, as other writers of areal instruments do and as readers show them.
+
 NAMESPACE: Final = "http://www.opengps.eu/2008/ISO5436_2"
 UNKNOWN_TIME: Final = "1970-01-01T00:00:00Z"
 """Date of a result without one: the format requires a date."""
@@ -266,6 +262,11 @@ def _entry(name: str) -> zipfile.ZipInfo:
     entry.compress_type = zipfile.ZIP_DEFLATED
     return entry
 
+
+# Gwyddion's native format: height, uncertainty and mask of invalid pixels, float64 in metres.
+#
+# A mask marks pixels and does not replace their values, so invalid pixels must hold a number: the mean of the valid
+# ones.
 
 LARGEST: Final = 2**32 - 1
 """Limit of the 32-bit sizes."""

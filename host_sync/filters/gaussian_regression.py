@@ -7,8 +7,6 @@ slope. The filter returns the value of the weighted least-squares plane: a tilt 
 no pixel is missing the value equals the mean.
 
 Terms that depend on the mask only are computed once for a surface and its samples.
-
-The Gaussian profile filter (ISO 16610-21), of first order at ends and beside holes (ISO 16610-31).
 """
 
 from __future__ import annotations
@@ -126,6 +124,8 @@ def _transfer(kernel: Float64Array, reach: int, size: int) -> NDArray[np.complex
     # Conjugate: a sum around a pixel is a correlation, not a convolution.
     return np.conj(scipy.fft.fft(placed)).astype(np.complex64)
 
+
+# The Gaussian profile filter (ISO 16610-21), of first order at ends and beside holes (ISO 16610-31).
 
 _MIN_PROFILE_DETERMINANT = 1e-6
 

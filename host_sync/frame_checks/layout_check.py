@@ -2,8 +2,6 @@
 
 Most of a frame's light is that of lights over skin, whatever is pressed. A frame whose channels or sides are exchanged
 is explained far better by the reference with the same exchange.
-
-The ways in which a whole frame can be turned or mirrored.
 """
 
 from __future__ import annotations
@@ -128,6 +126,9 @@ class LayoutModel:
             f"(below {CLEARLY_BETTER:.0%} counts)"
         )
         return FrameCheck(NAME, "refused", ratio, CLEARLY_BETTER, "of what is unexplained", told)
+
+
+# The ways in which a whole frame can be turned or mirrored.
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,4 @@
-"""Refuses a frame whose lights shine otherwise than in the calibration: all of them, or one.
-
-Where a frame lies under its lights, told by untouched skin: for skin that shows no pattern.
-
-A field that is displaced by s shows untouched skin, divided by the reference, as log I = γ - s·∇ log R: the lights' own
-gradient over the field measures s. What is pressed disturbs it, far beyond its contact; by how much is estimated from
-how well the untouched cells obey that law, against how well the calibration's presses do.
-"""
+"""Refuses a frame whose lights shine otherwise than in the calibration: all of them, or one."""
 
 from __future__ import annotations
 
@@ -149,6 +142,12 @@ def _sights(cells: Float32Array, response: SlopeResponse | None) -> list[LevelSi
         found = [pressed_levels(cells, response)]
     return found
 
+
+# Where a frame lies under its lights, told by untouched skin: for skin that shows no pattern.
+#
+# A field that is displaced by s shows untouched skin, divided by the reference, as log I = γ - s·∇ log R: the lights'
+# own gradient over the field measures s. What is pressed disturbs it, far beyond its contact; by how much is estimated
+# from how well the untouched cells obey that law, against how well the calibration's presses do.
 
 POSITION: Final = "light position"
 ROUNDS: Final = 4

@@ -2,8 +2,6 @@
 
 Frames are decoded one by one on demand. An unreadable frame keeps its place in the sequence as a `BadFrame`, so that
 later frames keep their time.
-
-The movie of a scan's press as a sequence of frames of full size.
 """
 
 from __future__ import annotations
@@ -271,6 +269,9 @@ def _page_count(path: Path) -> int:
             return len(tiff.pages)
     except TIFF_READ_ERRORS:
         return 0
+
+
+# The movie of a scan's press as a sequence of frames of full size.
 
 
 class BundleMovie:

@@ -1,9 +1,4 @@
-"""Calibration folders that list one labelled ball an image: those of gs_sdk and of py3DCal.
-
-Calibration folders of FOTS and digit-depth: a table of circles that a person drew, images, a configuration.
-
-A circle is drawn around all of the ball that shows, where the skin has left it already: its contact is narrower.
-"""
+"""Calibration folders that list one labelled ball an image: those of gs_sdk and of py3DCal."""
 
 from __future__ import annotations
 
@@ -124,6 +119,10 @@ def _label(path: Path) -> tuple[Circle, ...]:
     except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
         raise FrameSetError(f"{path}: is no label of gs_sdk: label that press again") from error
 
+
+# Calibration folders of FOTS and digit-depth: a table of circles that a person drew, images, a configuration.
+#
+# A circle is drawn around all of the ball that shows, where the skin has left it already: its contact is narrower.
 
 COLUMNS: Final = ("img_names", "center_x", "center_y", "radius")
 CONTACT_OF_RING: Final = 0.85

@@ -3,10 +3,6 @@
 Grey images, one a light, come from machine-vision cameras whose values are linear; how a single RGB image encodes light
 is not said. A folder with annotated circles and a ball's radius is a calibration press. Its circles are drawn at the
 ball's equator, so that the trusted contact is at most 0.8 of the radius. A folder called flat... is untouched skin.
-
-The part of YAML that GelSight's `scan.yaml` uses: keys with values, lists of values, lists of such tables.
-
-Deeper tables are skipped. Values stay text; who asks for a number reads one.
 """
 
 from __future__ import annotations
@@ -130,6 +126,10 @@ def _length(value: object, factor: float = 1.0) -> float | None:
     number = _number(value)
     return number * factor if number is not None and number > 0.0 else None
 
+
+# The part of YAML that GelSight's `scan.yaml` uses: keys with values, lists of values, lists of such tables.
+#
+# Deeper tables are skipped. Values stay text; who asks for a number reads one.
 
 Table = dict[str, str]
 MAX_BYTES: Final = 4 << 20

@@ -3,8 +3,6 @@
 Names tell first: background, blank, flat, ref or bg is untouched skin; ball, press, sphere, bead, sample, cal or Im is
 a calibration press. Where they do not, the largest group of numbered images are presses if a ball shows in them, and
 one called frame0 or 0 is untouched skin if it looks like the others do where nothing touches.
-
-A first look at the presses of a folder: where balls show, and of which radius, before anything is calibrated.
 """
 
 from __future__ import annotations
@@ -194,6 +192,8 @@ def _check_movies(source: Path) -> None:
             f"ffmpeg -i {movie.name} frame-%04d.png, and call those of the ball ball-…"
         )
 
+
+# A first look at the presses of a folder: where balls show, and of which radius, before anything is calibrated.
 
 ENOUGH: Final = 0.34
 """Share of the images that show a ball from which they are presses."""

@@ -3,12 +3,6 @@
 It is flat over a patch, not only at a pixel, and reaches the frame's border; the plateau of an object is flat too, and
 the skin that sinks towards rest around it is nearly so. As only patches count, the search works on cells of several
 pixels.
-
-Whether skin that is flat on the mean is a surface: texture that fills a field, or skin that nothing touches.
-
-Errors of slopes belong to no surface: integration keeps half of their power and removes the other half. Slopes of a
-surface it keeps. So where waves of some ten cells are kept with clearly more amplitude than is removed of them, an
-object shows.
 """
 
 from __future__ import annotations
@@ -219,6 +213,12 @@ def cell_means(
     number: Float32Array = np.maximum(count, np.float32(1.0)).astype(np.float32)
     return np.asarray(p_sum / number, np.float32), np.asarray(q_sum / number, np.float32), known
 
+
+# Whether skin that is flat on the mean is a surface: texture that fills a field, or skin that nothing touches.
+#
+# Errors of slopes belong to no surface: integration keeps half of their power and removes the other half. Slopes of a
+# surface it keeps. So where waves of some ten cells are kept with clearly more amplitude than is removed of them, an
+# object shows.
 
 ACROSS: Final = 240
 """Cells along the reduced field's columns."""

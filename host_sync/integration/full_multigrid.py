@@ -5,24 +5,6 @@ below it plus prolongation offsets. Coarse levels are then improved by V-cycles:
 for the correction one level down, interpolate it, smooth. The finest level is smoothed; it takes V-cycles only where
 the estimated error requires them, and conjugate gradients around V-cycles where these converge too
 slowly.
-
-Estimates the algebraic error that full multigrid leaves, from its own passes.
-
-Prolongation offsets and coarse slopes are exact for slopes that belong to a surface. Smoothing on the finest level
-therefore repairs only what noise has left, and the change it makes measures that noise: without a tolerance, cycles end
-when the estimated error is a fraction of it. The correction by a cycle measures the error that it removed. One
-correction does not show how fast errors fall, which narrow bridges between holes slow down; the cycles of the coarse
-levels show that, so their remaining error is added. From the second cycle on, the finest level's own corrections are
-used.
-
-The fractions were found for white noise. Errors that are correlated from row to row, such as stripes that 2:1
-coarsening cannot separate, may be underestimated many times. Rounding in single precision is not included.
-
-Direct solution on the coarsest level: by cosine transform where every edge weighs 1, else by the pseudo-inverse.
-
-The coarse levels of a full rectangle of even size are full rectangles too. The discrete cosine transform solves these
-exactly, in less time than calling the kernels of many small levels takes. (Cells at an odd end are smaller: from there
-on levels have weights.)
 """
 
 from __future__ import annotations
@@ -48,6 +30,12 @@ from host_sync.integration.sweep import root_mean_square, sweep
 from host_sync.integration.transfer import add_correction, add_weighted_correction
 from host_sync.kernels.jit import get_num_threads
 from host_sync.kernels.parallel_rows import BackgroundCall
+
+# Direct solution on the coarsest level: by cosine transform where every edge weighs 1, else by the pseudo-inverse.
+#
+# The coarse levels of a full rectangle of even size are full rectangles too. The discrete cosine transform solves these
+# exactly, in less time than calling the kernels of many small levels takes. (Cells at an odd end are smaller: from
+# there on levels have weights.)
 
 NULL_TOLERANCE: Final = 1e-10
 """Eigenvalue of D^-½ A D^-½ below which a mode counts as the free mean of a component."""
@@ -334,6 +322,18 @@ def _finest_cycles(
         residuals.append(figures.residual)
         before, after = after, before
 
+
+# Estimates the algebraic error that full multigrid leaves, from its own passes.
+#
+# Prolongation offsets and coarse slopes are exact for slopes that belong to a surface. Smoothing on the finest level
+# therefore repairs only what noise has left, and the change it makes measures that noise: without a tolerance, cycles
+# end when the estimated error is a fraction of it. The correction by a cycle measures the error that it removed. One
+# correction does not show how fast errors fall, which narrow bridges between holes slow down; the cycles of the coarse
+# levels show that, so their remaining error is added. From the second cycle on, the finest level's own corrections are
+# used.
+#
+# The fractions were found for white noise. Errors that are correlated from row to row, such as stripes that 2:1
+# coarsening cannot separate, may be underestimated many times. Rounding in single precision is not included.
 
 SLOW_CONTRACTION: Final = 0.6
 """Ratio of successive corrections above which V-cycles stop."""

@@ -1,10 +1,6 @@
 """Height map from slopes by full multigrid: min Σ w_e (f_b - f_a - g_e)² over the edges between valid pixels.
 
 Paper, eqs. 9 and 10, with a weight per edge, holes and free (Neumann) borders.
-
-Validates a gradient field before integration and finds out whether it needs the weighted kernels.
-
-Compiles the solver's kernels before they are needed, beside other work of a first run.
 """
 
 from __future__ import annotations
@@ -22,6 +18,8 @@ from host_sync.integration.full_multigrid import full_multigrid
 from host_sync.integration.levels import EdgeRule, FineLevel, GridLevel, coarser_levels, edge_coefficients
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import BackgroundCall, parallel_rows
+
+# Validates a gradient field before integration and finds out whether it needs the weighted kernels.
 
 MIN_SIDE_PX: Final = 3
 
@@ -299,6 +297,8 @@ def _fine_level(gradients: GradientField, found: FieldInfo, edges: EdgeRule, pit
     rule = np.float32(pitch_um) * edge_coefficients(edges)
     return FineLevel(p, q, found.weight, np.float32(1.0 / found.largest), rule, MIN_TOLERANCE_PX * pitch_um)
 
+
+# Compiles the solver's kernels before they are needed, beside other work of a first run.
 
 EVEN: Final = (96, 128)
 ODD: Final = (95, 127)

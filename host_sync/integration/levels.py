@@ -1,22 +1,4 @@
-"""One level of the grid: its edges and working arrays.
-
-Weights and slopes of the edges between neighbouring pixels, built row by row from slopes and weights of the pixels.
-
-An edge joins pixels a and b in line. The two-point mean (g_a + g_b) / 2 has variance (v_a + v_b) / 4, so with weights w
-= 1 / v the edge's weight is the harmonic mean w_e = 2 w_a w_b / (w_a + w_b) (up to a common factor).
-
-Rules for the edge's height difference, in pixels (g_o and g_p lie beyond a and b):
-
-* fourth-order: 13/24 (g_a + g_b) - 1/24 (g_o + g_p). The mean of a cubic over [0, 1] from its values at -1, 0, 1, 2:
-  even parts 1 and (x - 1/2)² give α + β = 1/2 and α/4 + 9β/4 = 1/24, so β = -1/24, α = 13/24; odd parts cancel. The
-  two-point mean where g_o or g_p is missing, or so uncertain that it would dominate the edge's variance.
-* two-point: (g_a + g_b) / 2.
-* printed: g_a, the one-sided difference of the paper's eq. 10, for comparison.
-
-Loops over pairs of pixels read both pixels of each pair (`first_of`, `second_of`): the compiler loads whole pairs as
-vectors, which is several times as fast as gathering every second number. It may not drop the product with zero, because
-the other factor could be infinite; here both are finite, so the product adds nothing.
-"""
+"""One level of the grid: its edges and working arrays."""
 
 from __future__ import annotations
 
@@ -28,6 +10,23 @@ import numpy as np
 from device.surface.fields import Float32Array
 from host_sync.integration.smoother import CONTRACT
 from host_sync.kernels.jit import njit
+
+# Weights and slopes of the edges between neighbouring pixels, built row by row from slopes and weights of the pixels.
+#
+# An edge joins pixels a and b in line. The two-point mean (g_a + g_b) / 2 has variance (v_a + v_b) / 4, so with weights
+# w = 1 / v the edge's weight is the harmonic mean w_e = 2 w_a w_b / (w_a + w_b) (up to a common factor).
+#
+# Rules for the edge's height difference, in pixels (g_o and g_p lie beyond a and b):
+#
+# * fourth-order: 13/24 (g_a + g_b) - 1/24 (g_o + g_p). The mean of a cubic over [0, 1] from its values at -1, 0, 1, 2:
+#   even parts 1 and (x - 1/2)² give α + β = 1/2 and α/4 + 9β/4 = 1/24, so β = -1/24, α = 13/24; odd parts cancel. The
+#   two-point mean where g_o or g_p is missing, or so uncertain that it would dominate the edge's variance.
+# * two-point: (g_a + g_b) / 2.
+# * printed: g_a, the one-sided difference of the paper's eq. 10, for comparison.
+#
+# Loops over pairs of pixels read both pixels of each pair (`first_of`, `second_of`): the compiler loads whole pairs as
+# vectors, which is several times as fast as gathering every second number. It may not drop the product with zero,
+# because the other factor could be infinite; here both are finite, so the product adds nothing.
 
 EdgeRule = Literal["fourth-order", "two-point", "printed"]
 

@@ -2,21 +2,6 @@
 
 The finest level is large and its edges are cheap to compute, so none are stored: each pass rebuilds them from p, q and
 the weights, in ring buffers of the last few rows. Row r is at index r mod length, which for a stored level is r itself.
-
-Prolongation offsets: heights of the 2x2 fine pixels of a cell relative to their coarse pixel, from the slopes
-between.
-
-The four edges inside a cell form a loop. Its closure error is distributed over them so that Σ w_e (change)² is least,
-which is their own least-squares surface. A missing slope follows from the other three, or equals that of the opposite
-edge.
-
-The fine field is the coarse field plus offsets, so the least squares over coarse pixels have slopes
-
-    G = Σ w_e (g_e + d_a - d_b) / Σ w_e
-
-over the fine edges e = (a, b) between two cells. Slopes that belong to a surface give exactly that surface on every
-level, whatever the weights: full multigrid has only noise left to smooth and correct. (Compare Hampton et al. 2008, who
-integrate wave-front slopes by Haar wavelets and smooth after each level.)
 """
 
 from __future__ import annotations
@@ -38,6 +23,21 @@ from host_sync.integration.levels import (
 )
 from host_sync.integration.smoother import CONTRACT, inverse_diagonal, system_and_diagonal
 from host_sync.kernels.jit import njit
+
+# Prolongation offsets: heights of the 2x2 fine pixels of a cell relative to their coarse pixel, from the slopes
+# between.
+#
+# The four edges inside a cell form a loop. Its closure error is distributed over them so that Σ w_e (change)² is least,
+# which is their own least-squares surface. A missing slope follows from the other three, or equals that of the opposite
+# edge.
+#
+# The fine field is the coarse field plus offsets, so the least squares over coarse pixels have slopes
+#
+#     G = Σ w_e (g_e + d_a - d_b) / Σ w_e
+#
+# over the fine edges e = (a, b) between two cells. Slopes that belong to a surface give exactly that surface on every
+# level, whatever the weights: full multigrid has only noise left to smooth and correct. (Compare Hampton et al. 2008,
+# who integrate wave-front slopes by Haar wavelets and smooth after each level.)
 
 
 @njit(cache=True, fastmath=CONTRACT)

@@ -6,18 +6,6 @@ over a long way, so gently that it passes for flat: only what lies far from ever
 from place to place by what errors of slopes add up to: the zero's uncertainty is a share of that spread. Where no skin
 is untouched, as where an object's fine texture fills the field, or clearly lies under other skin, a height map has no
 zero: its heights are relative to each other.
-
-Distances to the nearest pixel of a mask, with the same bits wherever they are computed.
-
-With one thread, and on small fields, OpenCV leaves precise distances to Intel's library. Its rounding differs from that
-of OpenCV's own code, and from call to call with where the array lies in memory.
-
-How high skin still stands where it was taken for zero: beside an object it sinks towards rest for a long way.
-
-Free skin under tension that its elastomer pulls back is bent in proportion to its height: z = L² · div(slope), with one
-length L for the whole field (a membrane on springs). Where an object reaches far, all skin of a frame is still above
-rest. Its heights against its bend tell the length, and the height at which skin is not bent: the true zero. The bend
-is taken as the noisy one of both, so that noise moves no zero.
 """
 
 from __future__ import annotations
@@ -262,6 +250,12 @@ def trimmed_mean(values: Float64Array) -> Float64Array:
     return np.asarray(inner.mean(axis=0))
 
 
+# Distances to the nearest pixel of a mask, with the same bits wherever they are computed.
+#
+# With one thread, and on small fields, OpenCV leaves precise distances to Intel's library. Its rounding differs from
+# that of OpenCV's own code, and from call to call with where the array lies in memory.
+
+
 def distance_px(to: MaskArray) -> Float32Array:
     """Distance of each pixel's middle from that of the nearest True one, pixels: float32 array of shape (H, W).
 
@@ -282,6 +276,13 @@ def _own_code() -> Iterator[None]:
     finally:
         cv2.ipp.setUseIPP(before)
 
+
+# How high skin still stands where it was taken for zero: beside an object it sinks towards rest for a long way.
+#
+# Free skin under tension that its elastomer pulls back is bent in proportion to its height: z = L² · div(slope), with
+# one length L for the whole field (a membrane on springs). Where an object reaches far, all skin of a frame is still
+# above rest. Its heights against its bend tell the length, and the height at which skin is not bent: the true zero. The
+# bend is taken as the noisy one of both, so that noise moves no zero.
 
 ACROSS: Final = 160
 """Cells along the reduced field's columns."""

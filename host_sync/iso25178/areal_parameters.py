@@ -3,18 +3,6 @@
 Heights count from the mean of the valid pixels. The standard leaves the derivative open: Sdq takes differences of
 neighbouring pixels, each direction over the pairs of which both are valid, because a central difference would miss what
 is two pixels wide. Sdr takes the area over each square of four valid pixels, as the mean of both triangulations.
-
-Spatial parameters of ISO 25178-2: Sal, Str from the autocorrelation, Std from the angular spectrum.
-
-The autocorrelation at a shift is the mean product of the pairs of valid pixels at that distance, divided by the mean
-square. Each shift has its own number of pairs, so that borders and holes do not bias it. Shifts with few pairs, beyond
-about half of the field, are not evaluated.
-
-Functional parameters of ISO 25178-2 from the areal material ratio curve.
-
-The curve is the heights in falling order: at material ratio p, the height that a fraction p of the area reaches. Each
-valid pixel is one point; above a million, neighbours on the curve are averaged, which keeps all volumes and resolves
-ratios to one millionth.
 """
 
 from __future__ import annotations
@@ -28,6 +16,12 @@ from scipy.ndimage import map_coordinates
 
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.kernels.jit import njit
+
+# Functional parameters of ISO 25178-2 from the areal material ratio curve.
+#
+# The curve is the heights in falling order: at material ratio p, the height that a fraction p of the area reaches. Each
+# valid pixel is one point; above a million, neighbours on the curve are averaged, which keeps all volumes and resolves
+# ratios to one millionth.
 
 CORE_SHARE: Final = 0.4
 """Fraction of the curve to which the equivalent straight line is fitted."""
@@ -137,6 +131,12 @@ def core_line(falling: Float64Array) -> tuple[float, float]:
     top = float(part.mean()) - slope * float(share.mean())
     return top, top + slope
 
+
+# Spatial parameters of ISO 25178-2: Sal, Str from the autocorrelation, Std from the angular spectrum.
+#
+# The autocorrelation at a shift is the mean product of the pairs of valid pixels at that distance, divided by the mean
+# square. Each shift has its own number of pairs, so that borders and holes do not bias it. Shifts with few pairs,
+# beyond about half of the field, are not evaluated.
 
 FALLEN_TO: Final = 0.2
 """Threshold of the correlation, the default of the standard."""

@@ -8,24 +8,6 @@ candidates and must not depend on a pixel's own noise.
 
 The tile is allocated inside the function with the loops: its constant shape proves to the compiler that its planes do
 not overlap, without which there is no SIMD code (six times slower).
-
-One candidate of one pixel: its Hessian error, refined slope and confidence (paper, eqs. 4 to 8).
-
-Refinement inverts the first-order Taylor series of the reflectance, R(p, q) ≈ R(p0, q0) + J (p - p0, q - q0)ᵀ, by J⁺ =
-(JᵀJ + λI)⁻¹Jᵀ; Tikhonov's λ keeps the step small where the reflectance hardly changes with slope.
-
-Differentiating I = R(p, q) gives [∂I/∂x ∂I/∂y] = J H with H the symmetric Hessian of the height. ε² is the part of the
-intensity gradients that its symmetrized estimate does not explain. It selects among the slopes of an ambiguous colour
-and weights the refinement.
-
-The gate is ω = exp(-ε²/σ²). Equation 8 is printed without the minus sign, so that ω grows with the error, while the
-sentence above it says that large errors fall back to the coarse estimate.
-
-The confidence is not in the paper: it measures how uncertain a slope is. It affects neither the selection among
-candidates, which uses ε alone, nor the paper's integration, which weights all pixels equally.
-
-Functions are scalar, on floats and tuples, without branches, so the loop that calls them compiles to SIMD code. A
-candidate c holds p, q, R (3) and J by rows (6).
 """
 
 from __future__ import annotations
@@ -38,6 +20,24 @@ from device.surface.fields import Float32Array, MaskArray
 from host_sync.johnson2009.lookup_table import LookupTable
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
+
+# One candidate of one pixel: its Hessian error, refined slope and confidence (paper, eqs. 4 to 8).
+#
+# Refinement inverts the first-order Taylor series of the reflectance, R(p, q) ≈ R(p0, q0) + J (p - p0, q - q0)ᵀ, by J⁺
+# = (JᵀJ + λI)⁻¹Jᵀ; Tikhonov's λ keeps the step small where the reflectance hardly changes with slope.
+#
+# Differentiating I = R(p, q) gives [∂I/∂x ∂I/∂y] = J H with H the symmetric Hessian of the height. ε² is the part of
+# the intensity gradients that its symmetrized estimate does not explain. It selects among the slopes of an ambiguous
+# colour and weights the refinement.
+#
+# The gate is ω = exp(-ε²/σ²). Equation 8 is printed without the minus sign, so that ω grows with the error, while the
+# sentence above it says that large errors fall back to the coarse estimate.
+#
+# The confidence is not in the paper: it measures how uncertain a slope is. It affects neither the selection among
+# candidates, which uses ε alone, nor the paper's integration, which weights all pixels equally.
+#
+# Functions are scalar, on floats and tuples, without branches, so the loop that calls them compiles to SIMD code. A
+# candidate c holds p, q, R (3) and J by rows (6).
 
 FAST: Final = {"contract", "arcp", "nsz"}
 

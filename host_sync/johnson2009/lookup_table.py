@@ -7,12 +7,6 @@ closest observed colour". A candidate is 12 float32 (48 bytes), so one cache lin
 Untouched skin has bins of its own: pressed skin is brighter or darker than untouched skin, so the balls' colour at
 slope 0 is not 1, while intensity 1 is slope 0 by definition. Without these bins all untouched skin would be tilted, and
 the height map bent.
-
-Mean shift over the slopes that fall into one bin: each cluster is one slope that produces the bin's colour.
-
-Paper, section 5.1: the bandwidth is proportional to the mean norm of the bin's slopes, which groups normals that are
-close in angle. It has a lower bound, because it vanishes at the flat. Modes connected by a chain of half bandwidths are
-one cluster, so that a long sheet of slopes of equal colour stays whole.
 """
 
 from __future__ import annotations
@@ -26,6 +20,12 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.johnson2009.spherical_harmonics import ReflectanceSurface
 from host_sync.kernels.jit import njit
+
+# Mean shift over the slopes that fall into one bin: each cluster is one slope that produces the bin's colour.
+#
+# Paper, section 5.1: the bandwidth is proportional to the mean norm of the bin's slopes, which groups normals that are
+# close in angle. It has a lower bound, because it vanishes at the flat. Modes connected by a chain of half bandwidths
+# are one cluster, so that a long sheet of slopes of equal colour stays whole.
 
 MAX_CLUSTERS: Final = 4
 

@@ -6,12 +6,6 @@ and derivatives are polynomials and nothing is singular at the pole, where the f
 Balls show only a cap of the sphere of normals, over which high orders are nearly dependent. Orders above 2 are
 therefore penalized by the square of their Laplacian, l²(l + 1)², so that beyond the observed slopes the sum stays close
 to the Lambertian approximation (orders 0 to 2, practically unpenalized).
-
-Reflectance as a smooth function of slope, from which the table is filled: observed values, with order 5 around them.
-
-R = harmonics + smoothed remainder. The remainder of the observed cells is averaged over neighbours and shrunk towards
-zero by its uncertainty, so it fades out where nothing was observed and the harmonics continue without a seam. A bicubic
-spline gives value and Jacobian at every slope.
 """
 
 from __future__ import annotations
@@ -143,6 +137,12 @@ def _penalty(degree: int) -> float:
     laplacian = float((degree * (degree + 1)) ** 2)
     return (PENALTY if degree > LAMBERTIAN_ORDER else NUMERICAL_PENALTY) * laplacian
 
+
+# Reflectance as a smooth function of slope, from which the table is filled: observed values, with order 5 around them.
+#
+# R = harmonics + smoothed remainder. The remainder of the observed cells is averaged over neighbours and shrunk towards
+# zero by its uncertainty, so it fades out where nothing was observed and the harmonics continue without a seam. A
+# bicubic spline gives value and Jacobian at every slope.
 
 EXTENSION: Final = 0.08
 """How far the surface extends beyond the steepest observed slope, as a fraction of it."""

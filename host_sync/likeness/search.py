@@ -1,10 +1,4 @@
-"""The surfaces of a library that look most like one.
-
-The index of a library for search by likeness: one SQLite file that can be deleted at will.
-
-Every row has a checksum: a row or file that a torn write damaged is made again from the results. What a transaction
-did not finish is rolled back. A library that cannot be written gets an index in memory.
-"""
+"""The surfaces of a library that look most like one."""
 
 from __future__ import annotations
 
@@ -231,6 +225,11 @@ def _newest_results(library: Path, without: list[str]) -> Iterator[tuple[str, st
 def _scan(folder: str) -> str:
     return folder.split("/")[1]
 
+
+# The index of a library for search by likeness: one SQLite file that can be deleted at will.
+#
+# Every row has a checksum: a row or file that a torn write damaged is made again from the results. What a transaction
+# did not finish is rolled back. A library that cannot be written gets an index in memory.
 
 INDEX_FILE: Final = "likeness.sqlite3"
 STORED: Final = np.dtype("<f4")

@@ -2,8 +2,6 @@
 
 GelSight's TMD is read by this program. All other formats are read by SurfaceTopography (MIT licence), which the extra
 `formats` installs. Such a file holds no ± and no mask of what is extrapolated, and its heights are relative.
-
-The difference of two height maps of the same pixels, such as a result and the maker's own map of the same scan.
 """
 
 from __future__ import annotations
@@ -132,6 +130,8 @@ def _squared(z_um: Float32Array, sizes_um: list[float], form: str) -> tuple[Heig
     words = f"pixels of {across_um:.4g} x {down_um:.4g} µm were interpolated to squares of {pitch_um:.4g} µm"
     return HeightMap(resampled, pitch_um), form, (words,)
 
+
+# The difference of two height maps of the same pixels, such as a result and the maker's own map of the same scan.
 
 SAME_PITCH: Final = 0.01
 LEAST_SHARE: Final = 0.01

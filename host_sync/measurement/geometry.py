@@ -1,15 +1,4 @@
-"""Lengths, angles and volumes of places and regions of a surface.
-
-Places on the skin of the pixels of a height map.
-
-A camera that is not far away sees raised skin larger: what stands z over the untouched skin lies nearer to the middle
-of the field than its pixel does there, by the share z / h, where h is the height of the camera's pupil
-(`device/balls/viewpoint.py`).
-
-Footprint of a measurand on the field: points all over it, for the doubts that hold for parts of the field.
-
-Places that a person left out of a measurement: strokes of a brush over the field.
-"""
+"""Lengths, angles and volumes of places and regions of a surface."""
 
 from __future__ import annotations
 
@@ -171,6 +160,12 @@ def _height_at(z_um: Float32Array, pitch_um: float, place: Float64Array) -> floa
     return float(np.nanmean(near))
 
 
+# Places on the skin of the pixels of a height map.
+#
+# A camera that is not far away sees raised skin larger: what stands z over the untouched skin lies nearer to the middle
+# of the field than its pixel does there, by the share z / h, where h is the height of the camera's pupil
+# (`device/balls/viewpoint.py`).
+
 MIN_SHARE: Final = 0.2
 """Skin that is said to stand nearer to the camera than this share of its height is taken to stand there."""
 
@@ -248,6 +243,8 @@ class SkinPlaces:
         return np.maximum(1.0 - self.nearness_per_um * over_skin_um, MIN_SHARE)
 
 
+# Footprint of a measurand on the field: points all over it, for the doubts that hold for parts of the field.
+
 ALONG: Final = 64
 ACROSS: Final = 8
 
@@ -293,6 +290,8 @@ def _grid(top: float, left: float, bottom: float, right: float) -> Float64Array:
     row, column = np.meshgrid(np.linspace(top, bottom, ALONG), np.linspace(left, right, ALONG), indexing="ij")
     return np.stack([row.ravel(), column.ravel()], axis=-1)
 
+
+# Places that a person left out of a measurement: strokes of a brush over the field.
 
 SHIFT = 6
 """Binary places of OpenCV's drawing, 1/64 of a pixel."""

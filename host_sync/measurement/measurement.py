@@ -1,7 +1,4 @@
-"""The result of a measurement: quantities, profiles, a spectrum, and notes.
-
-A measurement as text, as a record for JSON, and as rows for CSV.
-"""
+"""The result of a measurement: quantities, profiles, a spectrum, and notes."""
 
 from __future__ import annotations
 
@@ -131,6 +128,8 @@ def mark_copies(measurements: Sequence[Measurement]) -> list[Measurement]:
         marked[place] = replace(marked[place], quantities=tuple(quantities))
     return marked
 
+
+# A measurement as text, as a record for JSON, and as rows for CSV.
 
 SCHEMA: Final = "retrograph.measurement/1"
 

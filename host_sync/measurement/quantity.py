@@ -1,11 +1,4 @@
-"""A measured number with its unit and uncertainty, and its text.
-
-Tolerances: whether a number passes, by the decision rule of ISO 14253-1 with its default of 95 %.
-
-A number passes when it lies inside its limits by 1.65 standard uncertainties, and fails when it lies outside by as
-much. Between the two, without an uncertainty, where a doubt says that the uncertainty does not hold, or where the
-uncertainty lacks that of the pixel pitch, which heights and lengths depend on, nothing is decided.
-"""
+"""A measured number with its unit and uncertainty, and its text."""
 
 from __future__ import annotations
 
@@ -173,6 +166,12 @@ def uncertainty_of_uncertainty(samples: int) -> float:
     """Relative standard uncertainty of an uncertainty from K samples, 1 / sqrt(2 K)."""
     return float(1.0 / np.sqrt(2.0 * samples)) if samples else float("nan")
 
+
+# Tolerances: whether a number passes, by the decision rule of ISO 14253-1 with its default of 95 %.
+#
+# A number passes when it lies inside its limits by 1.65 standard uncertainties, and fails when it lies outside by as
+# much. Between the two, without an uncertainty, where a doubt says that the uncertainty does not hold, or where the
+# uncertainty lacks that of the pixel pitch, which heights and lengths depend on, nothing is decided.
 
 GUARD: Final = 1.65
 """Guard band in standard uncertainties: 95 % on one side of a normal distribution."""

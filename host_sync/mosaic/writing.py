@@ -1,7 +1,4 @@
-"""The files of a mosaic: an ordinary result, and beside it the record of its links.
-
-All that a mosaic is made from, but the heights.
-"""
+"""The files of a mosaic: an ordinary result, and beside it the record of its links."""
 
 from __future__ import annotations
 
@@ -227,6 +224,9 @@ def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
                 counts.setdefault(words, []).append(press.name)
     for words, names in counts.items():
         yield f"{words} ({some_of(names)})"
+
+
+# All that a mosaic is made from, but the heights.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,4 @@
-"""Bundles on their way into a library: while some are read back and published, the next one is fetched.
-
-Log of a pull: noted as it happens, and reported at the end.
-"""
+"""Bundles on their way into a library: while some are read back and published, the next one is fetched."""
 
 from __future__ import annotations
 
@@ -160,6 +157,9 @@ class ReceiptWriter:
     def fault(self) -> str | None:
         """Why the source takes no receipts at all, None when it took one or none was due."""
         return None if self.written else next(iter(self.refusals.values()), None)
+
+
+# Log of a pull: noted as it happens, and reported at the end.
 
 
 @dataclass(frozen=True, slots=True)

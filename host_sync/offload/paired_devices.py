@@ -1,8 +1,6 @@
 """Devices that this workstation is paired with, and its own key: small files that only their owner can read.
 
 <folder>/id_ed25519  <folder>/devices/<device id>.json  <folder>/synced/<device id>.json
-
-The workstation's side of pairing: exchange cards, let a person compare the codes, store the device's key.
 """
 
 from __future__ import annotations
@@ -165,6 +163,8 @@ def this_host() -> str:
     """This workstation's name, for people."""
     return platform.node()[:64] or "workstation"
 
+
+# The workstation's side of pairing: exchange cards, let a person compare the codes, store the device's key.
 
 CONVERSATION_S: Final = 10.0
 CONFIRMATION_S: Final = 120.0

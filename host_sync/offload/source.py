@@ -2,8 +2,6 @@
 
 A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source says
 is trusted.
-
-A source that is a folder: a card, a mount, or a store on this machine. Nothing below it is followed or trusted.
 """
 
 from __future__ import annotations
@@ -87,6 +85,8 @@ class Source(Protocol):
         """Return how far the source's clock is ahead of ours, s; None when it has none or does not show it."""
         ...
 
+
+# A source that is a folder: a card, a mount, or a store on this machine. Nothing below it is followed or trusted.
 
 _USUAL_PLACES: Final = ("retroscan", "var/lib/retroscan")
 

@@ -1,10 +1,4 @@
-"""Heights along a chosen line, averaged across it where a width is given.
-
-Profile parameters of ISO 21920-2 over the valid samples of a profile.
-
-Ra, Rq, Rsk, Rku, Rt, Rdq, RSm refer to the evaluation length; Rp, Rv, Rz are means over its section lengths. Without an
-L-filter the letter is P instead of R: Pa, Pq, … (with one section by the standard).
-"""
+"""Heights along a chosen line, averaged across it where a width is given."""
 
 from __future__ import annotations
 
@@ -121,6 +115,11 @@ def bilinear(
             values += np.where(weight > MIN_WEIGHT, weight * near, 0.0)
     return values, inside & np.isfinite(values)
 
+
+# Profile parameters of ISO 21920-2 over the valid samples of a profile.
+#
+# Ra, Rq, Rsk, Rku, Rt, Rdq, RSm refer to the evaluation length; Rp, Rv, Rz are means over its section lengths. Without
+# an L-filter the letter is P instead of R: Pa, Pq, … (with one section by the standard).
 
 HEIGHT_DISCRIMINATION: Final = 0.1
 """Smallest height of a hill or dale that separates elements, as a fraction of Rz."""

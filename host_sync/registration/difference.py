@@ -1,7 +1,4 @@
-"""The difference of two presses of one object that remains after registration and levelling.
-
-Copies of one press, which are no repeated measurements: no two presses have the same noise.
-"""
+"""The difference of two presses of one object that remains after registration and levelling."""
 
 from __future__ import annotations
 
@@ -143,6 +140,8 @@ def _both(
     other = moved(at_pitch(HeightMap(second, pitch_um), wanted_um), pose, first.shape, 1)
     return np.where(known, np.hypot(first, other), np.float32(np.nan)).astype(np.float32)
 
+
+# Copies of one press, which are no repeated measurements: no two presses have the same noise.
 
 ROUNDING: Final = 1e-5
 """Difference of copies, as a fraction of the span of heights: rounding and the order of threads."""

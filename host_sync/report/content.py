@@ -1,7 +1,4 @@
-"""Content of a report, independent of its layout: facts, pictures, tables, notes.
-
-A report's template: whose report it is, by whom, with what, and which parts it has; a TOML file.
-"""
+"""Content of a report, independent of its layout: facts, pictures, tables, notes."""
 
 from __future__ import annotations
 
@@ -76,6 +73,8 @@ class Report:
     signature: str = ""
     footer: str = ""
 
+
+# A report's template: whose report it is, by whom, with what, and which parts it has; a TOML file.
 
 Part = Literal["pictures", "numbers", "notes", "calibration", "provenance"]
 Words = Annotated[str, msgspec.Meta(max_length=400)]

@@ -1,9 +1,4 @@
-"""Writes a report as HTML, and as a PDF that a browser prints from it.
-
-A report as one self-contained HTML file without scripts, whose print style is that of the PDF.
-
-Every text is escaped, and a content policy forbids scripts and external resources as a second barrier.
-"""
+"""Writes a report as HTML, and as a PDF that a browser prints from it."""
 
 from __future__ import annotations
 
@@ -87,6 +82,10 @@ def _printed(page: Path, browser: str) -> bytes:
             sheet.unlink(missing_ok=True)
     return _DATE.sub(lambda found: b" " * len(found[0]), data)
 
+
+# A report as one self-contained HTML file without scripts, whose print style is that of the PDF.
+#
+# Every text is escaped, and a content policy forbids scripts and external resources as a second barrier.
 
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 

@@ -1,8 +1,6 @@
 """Doubts of a result: each reason to distrust its heights, judged once here and carried by every output.
 
 A doubt holds for the whole field, or for the sectors of it that it names.
-
-Scans of a library that were taken again: the handheld's record of the later scan names the one it replaces.
 """
 
 from __future__ import annotations
@@ -239,6 +237,9 @@ def _certificate_places(folder: Path, calibration_bundle: str | None) -> Iterato
     if calibration_bundle and re.fullmatch(_BUNDLE, calibration_bundle):
         bundle = beside.parent.parent.parent / "calibrations" / calibration_bundle / "results"
         yield from sorted(bundle.glob(f"*/{CERTIFICATE_FILE}"))
+
+
+# Scans of a library that were taken again: the handheld's record of the later scan names the one it replaces.
 
 
 class _Manifest(msgspec.Struct, frozen=True):

@@ -1,7 +1,4 @@
-"""Entries of the viewer: a result, a video's result, a quick look, or the difference of two.
-
-Height maps of entries; the last few stay in memory, because a page requests one in bands.
-"""
+"""Entries of the viewer: a result, a video's result, a quick look, or the difference of two."""
 
 from __future__ import annotations
 
@@ -206,6 +203,8 @@ def _scan_around(folder: Path) -> Path | None:
     scan = folder.resolve().parent.parent
     return scan if (scan / "scan.json").is_file() else None
 
+
+# Height maps of entries; the last few stay in memory, because a page requests one in bands.
 
 KEPT: Final = 3
 

@@ -1,7 +1,4 @@
-"""Responses to the page: JSON with units in its names, and binary rows.
-
-Heights along a line, with their uncertainty.
-"""
+"""Responses to the page: JSON with units in its names, and binary rows."""
 
 from __future__ import annotations
 
@@ -120,6 +117,8 @@ def profile_csv(found: MeasuredLine, entry: Entry) -> Response:
 def _listed(values: NDArray[np.float64]) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
+
+# Heights along a line, with their uncertainty.
 
 MAX_POINTS: Final = 20_000
 WHOLE_PX: Final = 1e-6

@@ -1,13 +1,4 @@
-"""A grid of terminal cells, into which every picture is drawn, and the colours that a terminal has.
-
-Two pixels per cell: the upper and the lower half of a block, each with its own brightness or colour.
-
-A plain console has sixteen colours, four of them grey, and only the first eight as background; so brightness is
-dithered to four greys, and the glyph draws the half that needs a bright grey. Without colour a cell has one of five
-shades.
-
-Maps and pictures resampled to a terminal's pixels: means over the valid pixels of each area.
-"""
+"""A grid of terminal cells, into which every picture is drawn, and the colours that a terminal has."""
 
 from __future__ import annotations
 
@@ -100,6 +91,12 @@ def colour_depth(environment: Mapping[str, str]) -> ColourDepth:
     return "full" if promised or term.endswith("256color") or "kitty" in term else "sixteen"
 
 
+# Two pixels per cell: the upper and the lower half of a block, each with its own brightness or colour.
+#
+# A plain console has sixteen colours, four of them grey, and only the first eight as background; so brightness is
+# dithered to four greys, and the glyph draws the half that needs a bright grey. Without colour a cell has one of five
+# shades.
+
 UPPER, LOWER, FULL = "▀", "▄", "█"
 SHADES: Final = " ░▒▓█"
 HATCH: Final = "/"
@@ -175,6 +172,8 @@ def _hatched(cells: CellGrid, valid: MaskArray, ink: int) -> CellGrid:
     cells.ink[outside], cells.paper[outside] = ink, OWN
     return cells
 
+
+# Maps and pictures resampled to a terminal's pixels: means over the valid pixels of each area.
 
 MIN_VALID: Final = 0.5
 """Minimum valid fraction of an area for a valid mean."""

@@ -1,10 +1,6 @@
 """A height map as terminal cells: lit from the upper left, coloured by height where the terminal has colours.
 
 Colours go from deep blue over green to sand with increasing brightness, so that they also read without colour.
-
-The height scale beside a relief, in µm, the length bar below it, and round numbers for both.
-
-The profile along a row or column of a height map, drawn as bars with a scale in µm.
 """
 
 from __future__ import annotations
@@ -100,6 +96,8 @@ def height_colours(fraction: Float32Array, shade: Float32Array) -> NDArray[np.in
     return np.asarray((red << 16) | (green << 8) | blue, np.int32)
 
 
+# The height scale beside a relief, in µm, the length bar below it, and round numbers for both.
+
 BAR_COLUMNS: Final = 2
 LEGEND_COLUMNS: Final = 9
 """A blank, two columns of bar, a blank, and up to five digits."""
@@ -166,6 +164,8 @@ def length_text(length_um: float) -> str:
     """A length on the skin in a suitable unit, such as "2 mm" or "500 µm"."""
     return f"{length_um / 1e3:g} mm" if length_um >= 1e3 else f"{length_um:g} µm"
 
+
+# The profile along a row or column of a height map, drawn as bars with a scale in µm.
 
 Axis = Literal["row", "column"]
 

@@ -1,9 +1,4 @@
-"""Numbers, states and coverage in short words for the screens.
-
-Advice for the screens: what they can do themselves is named by its key or place, not by a shell command.
-
-Two points of a quick look against each other, in words.
-"""
+"""Numbers, states and coverage in short words for the screens."""
 
 from __future__ import annotations
 
@@ -132,6 +127,8 @@ def _sign(covered: bool) -> str:
     return COVERED if covered else UNCOVERED
 
 
+# Advice for the screens: what they can do themselves is named by its key or place, not by a shell command.
+
 _ADVICE: Final = (
     (r"run `retroscan selftest`", "run the self-test (key 4)"),
     (
@@ -153,6 +150,8 @@ def screen_advice(sentence: str) -> str:
         sentence = re.sub(pattern, instead, sentence)
     return sentence
 
+
+# Two points of a quick look against each other, in words.
 
 COVERAGE: Final = 2.0
 """Factor of the stated ± over the standard uncertainty, as in the workstation's outputs."""

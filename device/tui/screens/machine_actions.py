@@ -1,7 +1,4 @@
-"""Settings of the machine in Set-up: brightness of the panel, clock and time zone, Wi-Fi.
-
-The actions of the set-up screen, in the order of its list.
-"""
+"""Settings of the machine in Set-up: brightness of the panel, clock and time zone, Wi-Fi."""
 
 from __future__ import annotations
 
@@ -220,6 +217,8 @@ def _complaint(fields: dict[str, str]) -> str:
         return "write a date such as 2026-11-23 and a time such as 14:05"
     return "" if local.tzinfo is None else "write the time without a zone"
 
+
+# The actions of the set-up screen, in the order of its list.
 
 ActionName = Literal[
     "back",

@@ -1,7 +1,4 @@
-"""The panels of the set-up screen: instrument, lights and gel, network, storage, pairing, self-test; the state line.
-
-The panel of the exposure: light on the skin as it is now, and the exposure balance with what it found.
-"""
+"""The panels of the set-up screen: instrument, lights and gel, network, storage, pairing, self-test; the state line."""
 
 from __future__ import annotations
 
@@ -262,6 +259,8 @@ def _battery(power: PowerReading) -> str:
         return "! supply too low"
     return "" if power.battery_share is None else f"battery {percent_text(power.battery_share)}"
 
+
+# The panel of the exposure: light on the skin as it is now, and the exposure balance with what it found.
 
 MAX_BAR_COLUMNS: Final = 40
 _FULL: Final = 1.0

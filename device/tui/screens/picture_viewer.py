@@ -1,8 +1,6 @@
 """The relief in pixels, in a terminal with graphics: the screens are suspended until a key is pressed.
 
 Why not within the screens: whatever redraws the cells under a picture destroys it, and terminals differ in how.
-
-Pixel graphics for terminals that support them: sixel and the kitty protocol.
 """
 
 from __future__ import annotations
@@ -98,6 +96,8 @@ def _answer(read: Read) -> str:
         answer += more
     return answer
 
+
+# Pixel graphics for terminals that support them: sixel and the kitty protocol.
 
 Graphics = Literal["kitty", "sixel"]
 

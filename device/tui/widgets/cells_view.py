@@ -1,9 +1,4 @@
-"""The base of widgets that draw a grid of cells.
-
-The widget that shows the live picture with circles on it.
-
-The widget that shows a height map: relief and scale, and a profile under a cursor that keys and touch move.
-"""
+"""The base of widgets that draw a grid of cells."""
 
 from __future__ import annotations
 
@@ -122,6 +117,9 @@ def _colour(colour: int, full: bool) -> Color | None:
     return Color(f"color({colour})", ColorType.STANDARD, number=colour)
 
 
+# The widget that shows the live picture with circles on it.
+
+
 class LiveView(CellsView):
     """The live picture, or a sentence without one; parameters as for `CellsView`."""
 
@@ -160,6 +158,8 @@ class LiveView(CellsView):
         cells.blit(0, max((room.columns - picture.shape[1]) // 2, 0), picture)
         return cells
 
+
+# The widget that shows a height map: relief and scale, and a profile under a cursor that keys and touch move.
 
 _STEP: Final = 1.0 / 48.0
 _CURSOR_ACTIONS: Final = frozenset({"turn", "move", "hold", "level", "zoom"})

@@ -1,7 +1,4 @@
-"""Dialogs: fields to edit, a question to confirm, a list to choose from; Escape cancels all of them.
-
-A list of lines with one chosen; it is reversed and has a `>`, so that it is visible without colour.
-"""
+"""Dialogs: fields to edit, a question to confirm, a list to choose from; Escape cancels all of them."""
 
 from __future__ import annotations
 
@@ -213,6 +210,9 @@ class ChoiceDialog(Dialog[int]):
 def _framed(word: str) -> Content:
     """A button's label in brackets, so that it is visible as a button without colour."""
     return Content(f"[ {word} ]")
+
+
+# A list of lines with one chosen; it is reversed and has a `>`, so that it is visible without colour.
 
 
 class LineList(ScrollView, can_focus=True):

@@ -1,7 +1,4 @@
-"""The bars that every screen has: screens and device name at the top, the last notice, the keys at the bottom.
-
-Words on a screen that are drawn only when they change: a state is shown ten times a second and rarely differs.
-"""
+"""The bars that every screen has: screens and device name at the top, the last notice, the keys at the bottom."""
 
 from __future__ import annotations
 
@@ -19,6 +16,8 @@ from textual.visual import VisualType
 from textual.widgets import Static
 
 from device.tui.drawing.text import screen_advice
+
+# Words on a screen that are drawn only when they change: a state is shown ten times a second and rarely differs.
 
 
 class Words(Static):
