@@ -259,7 +259,7 @@ def _energies(rings: RadialProfiles, contact: float) -> tuple[float, float]:
     return float(uneven), float((weight * 2.0 * size**2).sum())
 
 
-# How far from its apex the skin follows a ball.
+# Distance from its apex up to which the skin follows a ball.
 #
 # The *ramp*, first harmonic of a ring over its distance from the centre, is level near the apex, bends with the
 # reflectance towards the border of the contact and falls fast where the skin lifts off. One ball alone cannot tell the
@@ -285,7 +285,7 @@ LEVEL_RINGS: Final = 0.6
 """A ball's ramp is brought to the level of the common ramp up to this share of the radius."""
 
 COMMON_KEPT: Final = 0.85
-"""Where a ball's ramp falls under this share of the frame's common ramp, its skin has lifted off."""
+"""Share of the frame's common ramp under which a ball's own ramp shows that its skin has lifted off."""
 
 MIN_COMPANY: Final = 6
 """Balls of one frame from which a common ramp is drawn."""

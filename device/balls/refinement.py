@@ -229,7 +229,7 @@ PATCH: Final = 0.45
 """Radius of the patch that is fitted, share of the ball's radius."""
 
 MIN_SCORE: Final = 0.35
-"""How much a second ramp must explain, beside what two ramps leave, for a patch to be looked at."""
+"""Deviation that a second ramp must explain, relative to what two ramps leave, for a patch to count."""
 
 NOISE_MARGIN: Final = 8.0
 """Ramps weaker than this many times the frame's median ramp energy lose half of their score."""
@@ -291,7 +291,7 @@ def find_candidates(reduced: ReducedIntensity, radius_px: float) -> list[Candida
 
 
 def _ramp_score(deviation: Float32Array, radius_px: float) -> Float32Array:
-    """How well ramps in two independent directions explain each patch's deviation, 0 to 1, shape (h, w)."""
+    """Fraction of each patch's deviation that ramps in two independent directions explain, shape (h, w)."""
     basis, disc = _patch_basis(PATCH * radius_px)
     area = float(disc.sum())
     gram: Float64Array = np.einsum("kyx,lyx,yx->kl", basis, basis, disc)

@@ -152,7 +152,7 @@ def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp],
     return row[inside], column[inside]
 
 
-# Intensity of a ball's pixels without most of their noise: what an inverse map is taught with.
+# Intensity of a ball's pixels without most of their noise, to which an inverse map is fitted.
 #
 # A map that is fitted from noisy colours to true slopes reads flatter than the truth: least squares finds the mean
 # slope of all pixels that look so, and noise mixes gentler ones among them (regression dilution; Fuller, "Measurement
@@ -165,7 +165,7 @@ SIGMA_PX: Final = 2.0
 """Standard deviation of the Gaussian."""
 
 SIGMA_SHARE: Final = 0.03
-"""The same as a share of the contact's radius, at most: a small ball bends within few pixels."""
+"""Largest standard deviation as a share of the contact's radius: a small ball bends within few pixels."""
 
 OUTLYING: Final = 4.0
 """Times the median of what the polynomial leaves from which a pixel counts less: dust, a hair, skin that has lifted."""

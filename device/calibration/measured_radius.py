@@ -171,7 +171,7 @@ def _readings(
 
 
 def _height_mm(ball: Ball, distance_px: float) -> float:
-    """How far the skin stands above the edge of the trusted contact, px; as the sphere of the stated radius."""
+    """Height of the skin above the edge of the trusted contact, px; as the sphere of the stated radius."""
     heights = [np.sqrt(max(ball.radius_px**2 - r**2, 0.0)) for r in (distance_px, ball.contact_radius_px)]
     return float(max(heights[0] - heights[1], 0.0))
 
@@ -191,7 +191,7 @@ def _profile_away(image: NormalizedImage, ball: Ball, channel: int, direction_ra
 
 
 def _terminator(profile: Float64Array) -> float | None:
-    """Where a fall ends and a level begins, a share of the radius; None without one."""
+    """Distance at which a fall ends and a level begins, a share of the radius; None without one."""
     best, found = np.inf, None
     length = round(DARK_LENGTH / float(DISTANCES[1] - DISTANCES[0]))
     for first in range(4, len(DISTANCES) - length):

@@ -101,7 +101,7 @@ def keeps_detail(transfer: DetailTransfer) -> bool:
     return bool(np.isfinite(ridge_px) and ridge_px <= widest_px and transfer.at(BOUND_DEG, BOUND_PX) >= MIN_KEPT)
 
 
-# How much of a fine pattern shrinkage keeps, by amplitude and wavelength, at a calibration's own noise.
+# Fraction of a fine pattern that shrinkage keeps, by amplitude and wavelength, at a calibration's own noise.
 #
 # Sinusoids and ridges are drawn in the calibration's own colours, its noise is added, the frames are shrunk, and slopes
 # are read back through the colours' change with slope. A sinusoid keeps what stands in phase with it, relative to the
@@ -122,7 +122,7 @@ RIDGE_SIGMA_PX: Final = 1.0 / 2.3548
 
 
 class DetailTransfer(msgspec.Struct, frozen=True):
-    """What is kept of fine patterns.
+    """Fractions of fine patterns that are kept.
 
     amplitude_deg : steepest tilt of the patterns
     wavelength_px : of the sinusoids
@@ -207,7 +207,7 @@ class TransferBench:
         return np.stack(found)
 
     def _slope_of_colour(self, place: tuple[float, float]) -> Float64Array:
-        """What changes of colour are multiplied by for slopes: float64 array of shape (3, 2), by generalised least
+        """Factors that turn changes of colour into slopes: float64 array of shape (3, 2), by generalised least
         squares."""
         change = self._colour.change(place)
         weighed = np.linalg.solve(self._noise.covariance, change)

@@ -152,7 +152,7 @@ def _reading_change(inverse_map: InverseMap, intensity: Float32Array, place: Flo
     return np.asarray((more - less) / (2.0 * STEP))
 
 
-# What colour a slope has: the root of intensity as a polynomial in slope and place, fitted to a calibration's balls.
+# Colour of a slope: the root of intensity as a polynomial in slope and place, fitted to a calibration's balls.
 #
 # The inverse map goes the other way. This one is only as good as it must be to draw a test pattern as the instrument
 # would see it; its own errors are the same with and without noise.

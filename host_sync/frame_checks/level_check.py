@@ -143,7 +143,7 @@ def _sights(cells: Float32Array, response: SlopeResponse | None) -> list[LevelSi
     return found
 
 
-# Where a frame lies under its lights, told by untouched skin: for skin that shows no pattern.
+# Place of a frame under its lights, measured on untouched skin: for skin that shows no pattern.
 #
 # A field that is displaced by s shows untouched skin, divided by the reference, as log I = γ - s·∇ log R: the lights'
 # own gradient over the field measures s. What is pressed disturbs it, far beyond its contact; by how much is estimated
@@ -156,7 +156,7 @@ MIN_SCATTER: Final = 0.001
 """Cells beyond so many standard deviations are left out; scatter below this is the camera's own."""
 
 SAFETY: Final = 3.0
-"""How many times the presses' largest displacement, grown by the frame's scatter, is given away."""
+"""Multiple of the presses' largest displacement, grown by the frame's scatter, that counts as none."""
 
 MAX_LIMIT: Final = 0.01
 """Fraction of the field's width; where the limit grows larger the check says nothing."""
@@ -173,7 +173,7 @@ class LightShift:
 
     @property
     def distance_px(self) -> float:
-        """How far."""
+        """Length of the displacement."""
         return float(np.hypot(self.columns_px, self.rows_px))
 
 
@@ -216,7 +216,7 @@ class LightPositionModel:
         return FrameCheck(POSITION, "refused", shift.distance_px, limit, "px", words)
 
     def _worse(self, shift: LightShift, press: LightShift) -> float:
-        """How many times less certain a displacement is than a press's; at least once."""
+        """Standard uncertainty of a displacement relative to a press's; at least 1."""
         scatter = shift.scatter / press.scatter
         return max(scatter * float(np.sqrt(press.fraction / shift.fraction)), 1.0)
 

@@ -30,7 +30,7 @@ _CFA: Final = (tifffile.PHOTOMETRIC.CFA, tifffile.PHOTOMETRIC.LINEAR_RAW)
 _DNG_VERSION: Final = 50706
 
 RAW_ERRORS: Final = (ValueError, RuntimeError, OSError)
-"""What `read_camera_raw` raises of a file that is damaged, beside FrameSetError."""
+"""Errors that `read_camera_raw` raises for a damaged file, besides FrameSetError."""
 
 _ORIENTATIONS: Final = {3: 3, 5: 8, 6: 6}
 """As EXIF numbers what LibRaw calls flips."""

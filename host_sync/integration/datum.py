@@ -214,7 +214,7 @@ def cell_means(
     return np.asarray(p_sum / number, np.float32), np.asarray(q_sum / number, np.float32), known
 
 
-# Whether skin that is flat on the mean is a surface: texture that fills a field, or skin that nothing touches.
+# Skin that is flat on the mean is the texture of an object that fills a field, or skin that nothing touches.
 #
 # Errors of slopes belong to no surface: integration keeps half of their power and removes the other half. Slopes of a
 # surface it keeps. So where waves of some ten cells are kept with clearly more amplitude than is removed of them, an
@@ -251,7 +251,7 @@ MIN_SIDE: Final = 4
 
 
 def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> bool:
-    """Whether flat skin is an object's texture; False where too little of it lies far from steep flanks.
+    """Return True where flat skin is an object's texture; False where too little of it lies far from steep flanks.
 
     gradients : slopes before they were integrated, arrays of shape (H, W)
     skin : bool array of shape (H, W)

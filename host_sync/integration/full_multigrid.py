@@ -345,7 +345,7 @@ CYCLE_FRACTION: Final = 0.6
 """Error after the first cycle, as a fraction of its correction; the error of the coarse levels is added."""
 
 SLOWDOWN: Final = 0.25
-"""How much more slowly the remaining error falls than the corrections did (see `geometric_tail`)."""
+"""Fraction by which the ratio of successive corrections is moved towards 1 (see `geometric_tail`)."""
 
 NOISE_FRACTION: Final = 0.55
 """Default tolerance, as a fraction of the change by the first smoothing: adds less than 1 % to the effect of noise on
@@ -356,7 +356,7 @@ MAX_RATIO: Final = 0.9
 
 
 def stalls(corrections: list[float]) -> bool:
-    """Whether the last cycle contracted too little for more V-cycles to be worthwhile."""
+    """True where the last cycle contracted too little for more V-cycles to be worthwhile."""
     return len(corrections) > 2 and corrections[-1] > SLOW_CONTRACTION * corrections[-2]
 
 

@@ -34,7 +34,7 @@ MINUS_ZERO: Final = np.int32(-0x80000000)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldInfo:
-    """What a gradient field holds.
+    """Contents of a gradient field.
 
     weight : float32 array of shape (H, W), 0 at holes; None for a full rectangle of equal weights
     largest : largest weight; 1 for a full rectangle of equal weights
@@ -89,7 +89,7 @@ def _normalize(weight: Float32Array, largest: float) -> Float32Array:
 
 
 def _is_broadcast_scalar(values: NDArray[Any]) -> bool:
-    """Whether all pixels share one number in memory (see `full_rectangle`)."""
+    """Return True where all pixels share one number in memory (see `full_rectangle`)."""
     return not any(values.strides)
 
 
@@ -98,7 +98,7 @@ def _all_true(mask: MaskArray) -> bool:
 
 
 def _all_equal(valid: MaskArray, weight: Float32Array) -> bool:
-    """Whether every pixel is valid with the same weight: the common case, found in one fast pass."""
+    """Return True where every pixel is valid with the same weight: the common case, found in one fast pass."""
     if not (np.isfinite(weight[0, 0]) and weight[0, 0] > 0.0):
         return False
     others = np.zeros(len(weight), np.int32)

@@ -277,12 +277,12 @@ def _own_code() -> Iterator[None]:
         cv2.ipp.setUseIPP(before)
 
 
-# How high skin still stands where it was taken for zero: beside an object it sinks towards rest for a long way.
+# Height of skin that was taken for zero: around an object it sinks towards rest for a long way.
 #
 # Free skin under tension that its elastomer pulls back is bent in proportion to its height: z = L² · div(slope), with
 # one length L for the whole field (a membrane on springs). Where an object reaches far, all skin of a frame is still
-# above rest. Its heights against its bend tell the length, and the height at which skin is not bent: the true zero. The
-# bend is taken as the noisy one of both, so that noise moves no zero.
+# above rest. A line through its heights and bends gives L², and the height at which skin is not bent: the true zero.
+# The bend is taken as the noisy one of both, so that noise moves no zero.
 
 ACROSS: Final = 160
 """Cells along the reduced field's columns."""

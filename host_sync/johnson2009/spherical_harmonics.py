@@ -145,7 +145,7 @@ def _penalty(degree: int) -> float:
 # bicubic spline gives value and Jacobian at every slope.
 
 EXTENSION: Final = 0.08
-"""How far the surface extends beyond the steepest observed slope, as a fraction of it."""
+"""Extent of the surface beyond the steepest observed slope, as a fraction of it."""
 
 SMOOTHING_CELLS: Final = 1.5
 """Standard deviation of the Gaussian over the remainder, cells."""
