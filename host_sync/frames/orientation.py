@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
 
+from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import BAYER_ORDERS, RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.image_info import ImageInfo, Pixels
@@ -22,7 +24,6 @@ _ROWS_ARE_COLUMNS: Final = (5, 6, 7, 8)
 _ROWS_BACKWARDS: Final = (3, 4, 7, 8)
 """After rows and columns are exchanged: 6 is seen upright when it is turned by a quarter clockwise."""
 _COLUMNS_BACKWARDS: Final = (2, 3, 6, 7)
-_ENTRY: Final = 12
 
 
 def known_orientation(number: object) -> int:
@@ -32,16 +33,11 @@ def known_orientation(number: object) -> int:
 
 def exif_orientation(data: bytes) -> int:
     """The orientation that a block of EXIF states, which is a TIFF without pixels; upright where it states none."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
-    if order is None or len(data) < 8:
+    try:
+        with quiet_tiff_log(), tifffile.TiffFile(BytesIO(data)) as tiff:
+            return known_orientation(tiff.pages.first.tags.valueof(TAG))
+    except TIFF_READ_ERRORS:
         return UPRIGHT
-    (at,) = struct.unpack(f"{order}I", data[4:8])
-    count = int.from_bytes(data[at : at + 2], "little" if order == "<" else "big")
-    for start in range(at + 2, min(at + 2 + _ENTRY * count, len(data) - _ENTRY + 1), _ENTRY):
-        tag, kind, _, value = struct.unpack(f"{order}HHIH", data[start : start + 10])
-        if tag == TAG and kind == 3:
-            return known_orientation(value)
-    return UPRIGHT
 
 
 def shape_upright(shape: tuple[int, int], orientation: int) -> tuple[int, int]:

@@ -154,8 +154,9 @@ class Bundle:
     def _source_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
         """Derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
         model, level = self.model(numbers), np.zeros_like(terms.p)
-        by_source, by_coat = light_derivatives(numbers, model, (terms.p, terms.q, self.x, self.y, terms.z))
-        source_below, coat_below = light_derivatives(numbers, model, (level, level, self.x, self.y, level))
+        skin, ground = (terms.p, terms.q, self.x, self.y, terms.z), (level, level, self.x, self.y, level)
+        by_source, by_coat = light_derivatives(numbers, model, skin, terms.light)
+        source_below, coat_below = light_derivatives(numbers, model, ground, terms.rest)
         for axes in (range(3), range(3, EXTENT)):
             for source in range(len(numbers.place)):
                 for axis in axes:

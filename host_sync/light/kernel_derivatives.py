@@ -23,9 +23,12 @@ STEP: Final = 1e-4
 
 
 def light_derivatives(
-    numbers: Numbers, model: LightModel, skin: tuple[Float64Array, ...]
+    numbers: Numbers, model: LightModel, skin: tuple[Float64Array, ...], light: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return derivatives of the light of sources by their places and extents, (N, S, EXTENT), and by the coat."""
+    """Return derivatives of the light of sources by their places and extents, (N, S, EXTENT), and by the coat.
+
+    skin, light : slopes and places, and the light there, see `LightModel.light`
+    """
     count, size = len(numbers.place), len(skin[0])
     extents = np.concatenate([numbers.place, numbers.extent], axis=1)
     moved, turned = np.empty((count, len(POINTS), 4, EXTENT)), np.empty((count, 3, EXTENT))
@@ -41,7 +44,7 @@ def light_derivatives(
         write_light_derivatives, (size, 64), *model.geometry, model.coat, *skin, moved, turned, by_source, by_coat
     )
     distance = np.linalg.norm(model.sources[:, :3], axis=1)
-    by_coat[..., 0] += np.log(distance) * model.light(*skin)
+    by_coat[..., 0] += np.log(distance) * light
     return by_source, by_coat @ numbers.coat_change
 
 

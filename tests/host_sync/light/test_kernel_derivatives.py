@@ -43,7 +43,7 @@ def test_derivatives_by_sources_and_coat_are_differences_of_the_light(coat: Floa
     rng, at = np.random.default_rng(0), numbers(coat)
     p, q = rng.uniform(-0.6, 0.6, (2, 200))
     x, y, z = rng.uniform(-0.5, 0.5, 200), rng.uniform(-0.4, 0.4, 200), rng.uniform(0.0, 0.05, 200)
-    by_source, by_coat = light_derivatives(at, model(at), (p, q, x, y, z))
+    by_source, by_coat = light_derivatives(at, model(at), (p, q, x, y, z), model(at).light(p, q, x, y, z))
     for number in range(EXTENT):
         name, axis = ("place", number) if number < 3 else ("extent", number - 3)
         ends = []
