@@ -335,12 +335,20 @@ def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
     kept = np.ones(len(z), np.bool_)
     slope, start = 0.0, 0.0
     for _ in range(ROUNDS):
-        slope, start = np.polyfit(z[kept], bend[kept], 1)
+        slope, start = _line(z[kept], bend[kept])
         off = np.abs(bend - slope * z - start)
         kept = off < OUTLIER * max(float(np.sqrt((off[kept] ** 2).mean())), 1e-12)
     if slope <= 0.0 or float(np.corrcoef(z[kept], bend[kept])[0, 1]) < MIN_CORRELATION:
         return 0.0
     return float(-start / slope)
+
+
+def _line(z: Float64Array, bend: Float64Array) -> tuple[float, float]:
+    """Slope and value at zero of the line of least squares."""
+    mean, bent = float(z.mean()), float(bend.mean())
+    off = z - mean
+    slope = float(off @ (bend - bent)) / max(float(off @ off), 1e-300)
+    return slope, bent - slope * mean
 
 
 def _joined_to(low: MaskArray, resting: MaskArray) -> MaskArray:

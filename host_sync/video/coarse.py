@@ -32,7 +32,8 @@ WIDEST_PX: Final = 384
 """Columns of a coarse frame, at most."""
 
 CELLS_ACROSS: Final = 64
-"""Cells along a coarse frame's columns on which the light model is solved, at most: its changes are long waves."""
+"""Cells along a frame's columns on which the light model is solved, at most: its changes are long waves. Shadows of
+sources have edges: under them a frame that is not reduced has as many cells as one alone."""
 
 
 def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float32Array) -> Calibration:
@@ -137,11 +138,11 @@ def read_coarse(
     """
     gradients = uncorrected(image, calibration, method)
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
-    correction = None
-    if method == "direct" and calibration.light.confirmed:
+    correction, light = None, calibration.light
+    if method == "direct" and light.confirmed:
         correction = correct_slopes(
-            gradients, image, calibration.light, calibration.prior_sigma, calibration.elevation,
-            rest=evidence, cells_across=WIDEST_CELLS if is_whole else CELLS_ACROSS,
+            gradients, image, light, calibration.prior_sigma, calibration.elevation,
+            rest=evidence, cells_across=WIDEST_CELLS if is_whole and light.has_sources else CELLS_ACROSS,
         )  # fmt: skip
         correction.apply(gradients)
     gain_p, gain_q = gradients.p - read_p, gradients.q - read_q

@@ -45,6 +45,7 @@ from host_sync.video.coarse import (
     block_moments,
     read_coarse,
 )
+from host_sync.video.frame_rest import FrameRest
 from host_sync.video.frame_sigma import FrameSigma
 
 CHECK_STRIDE_FACTOR: Final = 4
@@ -55,6 +56,9 @@ STRETCH: Final = 30
 
 SAMPLED_COLUMNS: Final = 180
 """Number of columns sampled for the contact fraction; rows are sampled at the same distance."""
+
+DATUM_PX: Final = 192
+"""Columns of a coarse frame that show untouched skin and its height, at most."""
 
 TOLERANCE_PX: Final = 0.01
 """Estimated algebraic error of heights at which integration ends, pixels: far below the uncertainty of any frame."""
@@ -123,6 +127,10 @@ class FrameSolver:
             self._coarse_rest = self._coarse.flat_field
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
+        at_rest = calibration.skin_at_rest
+        self._rest = None if at_rest is None else FrameRest.like(at_rest)
+        self._gain_sigma = 0.0 if at_rest is None else at_rest.gain_sigma
+        self._apart = -(-self._coarse.flat_field.shape[1] // DATUM_PX)
         self._integrator = Integrator(self.shape)
         self._sigma: FrameSigma | None = None
         # A full array, not a broadcast scalar: the search for untouched skin reads every pixel.
@@ -196,8 +204,7 @@ class FrameSolver:
         if self._cell > 1:
             light.take_out(intensity, self._flat_field)
         raise_on_warnings(self._warnings(image), frame.name, force=self.force)
-        at_rest = self._calibration.skin_at_rest
-        evidence = None if at_rest is None else at_rest.evidence(image, squares)
+        evidence = None if self._rest is None else self._rest.evidence(image, squares)
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
         reading = read_coarse(image, evidence, self._coarse, self.method, is_whole=self._cell == 1)
@@ -210,7 +217,7 @@ class FrameSolver:
         self._integrator.integrate(gradients, self.pitch_um, out=out, tolerance_px=TOLERANCE_PX)
         coarse = self._coarse_heights(out)
         datum = self._datum(coarse, reading)
-        unlit = [] if datum.is_relative else check_datum(image, datum.skin)
+        unlit = [] if datum.is_relative else check_datum(_subsample(image, self._apart), datum.skin, self._gain_sigma)
         raise_on_warnings(unlit, frame.name, force=self.force)
         peak_um, known = _shift_to_zero(out, np.float32(datum.zero_um), out)
         if self._calibration.viewpoint is not None:
@@ -220,7 +227,7 @@ class FrameSolver:
             self._sigma = self._sigma or FrameSigma(self._coarse, self.method)
             self._sigma.write(datum.level(coarse), image, reading, datum, out, sigma)
         return FrameStatistics(
-            contact_fraction=shaded_fraction(_subsample(image)),
+            contact_fraction=shaded_fraction(_subsample(image, max(1, image.shape[1] // SAMPLED_COLUMNS))),
             clipped_fraction=float(np.count_nonzero(intensity.clipped) / intensity.clipped.size),
             masked_fraction=float(1.0 - known / out.size),
             peak_um=float(peak_um) if known else None,
@@ -281,8 +288,13 @@ class FrameSolver:
         whole = np.pad(some, ((0, rows - some.shape[0]), (0, columns - some.shape[1])), mode="edge")
         return HeightMap(np.ascontiguousarray(whole), self._coarse.pitch_um)
 
-    def _datum(self, height: HeightMap, reading: CoarseReading) -> Datum:
-        gradients = reading.gradients
+    def _datum(self, coarse: HeightMap, reading: CoarseReading) -> Datum:
+        """Return the zero of coarse heights and its skin, at every `_apart`-th of their rows and columns."""
+        every = (slice(None, None, self._apart),) * 2
+        field = reading.gradients
+        p, q, weight = (np.ascontiguousarray(part[every]) for part in (field.p, field.q, field.weight))
+        gradients = GradientField(p, q, np.ascontiguousarray(field.valid[every]), weight)
+        height = HeightMap(np.ascontiguousarray(coarse.z_um[every]), coarse.pitch_um * self._apart)
         if not reading.has_rest:
             return no_datum(height, gradients)
         at_rest = None if reading.prior is None else reading.prior.at_rest(height.z_um.shape)
@@ -308,8 +320,7 @@ def _shrunk_to(frame: RawFrame, shape: tuple[int, int]) -> LinearFrame:
     return LinearFrame(np.asarray(rgb, np.float32), np.asarray(clipped, np.bool_), whole.demosaiced)
 
 
-def _subsample(image: NormalizedImage) -> NormalizedImage:
-    step = max(1, image.shape[1] // SAMPLED_COLUMNS)
+def _subsample(image: NormalizedImage, step: int) -> NormalizedImage:
     every = (slice(None, None, step), slice(None, None, step))
     return NormalizedImage(np.ascontiguousarray(image.values[every]), image.valid[every], image.clipped[every])
 
