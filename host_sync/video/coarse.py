@@ -6,9 +6,8 @@ All of these are long waves, so that their cost need not grow with the pixels of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -19,9 +18,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration.lamp_drift import take_drift_out
 from host_sync.calibration.stray_light import take_stray_light_out
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.kernels.cell_rows import WIDEST_CELLS, bordered, expanded_at
-from host_sync.kernels.jit import njit
-from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cell_correction import CellCorrection
 from host_sync.light.reading import correct_slopes
 from host_sync.reconstruction.perspective import seen_slopes
@@ -154,62 +151,3 @@ def read_coarse(
         if prior is not None:
             prior.apply(gradients)
     return CoarseReading(gradients, gain_p, gain_q, weight, prior, correction)
-
-
-class FineCorrection:
-    """Change that a coarse reading brings to slopes of a frame of full size, as planes over cells."""
-
-    def __init__(self, reading: CoarseReading, cell: int) -> None:
-        size = reading.gain_p.shape[::-1]
-        kept, factor = np.ones_like(reading.gain_p), reading.weight
-        if reading.prior is not None:
-            kept, more = (
-                np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_LINEAR), np.float32)
-                for part in (reading.prior.kept, reading.prior.weight)
-            )
-            factor = factor * more
-        self._planes = bordered(np.stack([reading.gain_p, reading.gain_q, kept, factor]))
-        self._cell = cell
-
-    def apply(self, gradients: GradientField) -> None:
-        """Write corrected slopes and weights over those of a gradient field (H, W)."""
-        parallel_rows(_apply, gradients.p.shape, self._planes, self._cell, gradients.p, gradients.q, gradients.weight)
-
-
-@njit(cache=True, nogil=True)
-def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
-    """Correct the rows `first` to `last` - 1."""
-    upper, step = np.empty((4, p.shape[1]), np.float32), np.empty((4, p.shape[1]), np.float32)
-    expanded = -1
-    for r in range(first, last):
-        expanded, share = expanded_at(planes, r, cell, expanded, upper, step)
-        _apply_row(upper, step, share, p[r], q[r], weight[r])
-
-
-@njit(cache=True)
-def _apply_row(upper: Any, step: Any, share: Any, p: Any, q: Any, weight: Any) -> None:
-    for c in range(p.size):
-        kept = upper[2, c] + share * step[2, c]
-        p[c] = kept * (p[c] + upper[0, c] + share * step[0, c])
-        q[c] = kept * (q[c] + upper[1, c] + share * step[1, c])
-        weight[c] *= upper[3, c] + share * step[3, c]
-
-
-@njit(cache=True, nogil=True)
-def block_moments(values: Any, cell: int, mean: Any, square: Any, first: int, last: int) -> None:
-    """Write means of planes (3, H, W), and of their squares, over rows `first` to `last` - 1 of cells, (3, h, w)."""
-    rows, columns = values.shape[1:]
-    for i in range(first, last):
-        bottom = min((i + 1) * cell, rows)
-        for channel in range(3):
-            for j in range(mean.shape[2]):
-                right = min((j + 1) * cell, columns)
-                total, squares = np.float32(0.0), np.float32(0.0)
-                for r in range(i * cell, bottom):
-                    for c in range(j * cell, right):
-                        value = values[channel, r, c]
-                        total += value
-                        squares += value * value
-                count = np.float32((bottom - i * cell) * (right - j * cell))
-                mean[channel, i, j] = total / count
-                square[channel, i, j] = squares / count

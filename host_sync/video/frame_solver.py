@@ -33,18 +33,17 @@ from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
-from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
+from host_sync.reconstruction.perspective import seen_slopes
 from host_sync.reconstruction.slope_reading import raise_on_warnings
 from host_sync.results.record import refusals
 from host_sync.video.coarse import (
     WIDEST_PX,
     CoarseReading,
-    FineCorrection,
     FrameLight,
     at_size,
-    block_moments,
     read_coarse,
 )
+from host_sync.video.fine_pass import FineCorrection, block_moments, level
 from host_sync.video.frame_rest import FrameRest
 from host_sync.video.frame_sigma import FrameSigma
 
@@ -208,9 +207,13 @@ class FrameSolver:
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
         reading = read_coarse(image, evidence, self._coarse, self.method, is_whole=self._cell == 1)
-        gradients = reading.gradients if self._cell == 1 else self._fine_slopes(intensity, reading)
-        if self._calibration.viewpoint is not None:
-            gradients = seen_slopes(gradients, self._calibration.viewpoint, out=gradients)
+        viewpoint = self._calibration.viewpoint
+        if self._cell > 1:
+            gradients = self._fine_slopes(intensity, reading)
+        elif viewpoint is not None:
+            gradients = seen_slopes(reading.gradients, viewpoint, out=reading.gradients)
+        else:
+            gradients = reading.gradients
         if not self.weighted:
             parallel_rows(_zero_invalid, self.shape, gradients.p, gradients.q, gradients.valid)
             gradients = replace(full_rectangle(gradients.p, gradients.q), valid=self._all_valid)
@@ -219,10 +222,7 @@ class FrameSolver:
         datum = self._datum(coarse, reading)
         unlit = [] if datum.is_relative else check_datum(_subsample(image, self._apart), datum.skin, self._gain_sigma)
         raise_on_warnings(unlit, frame.name, force=self.force)
-        peak_um, known = _shift_to_zero(out, np.float32(datum.zero_um), out)
-        if self._calibration.viewpoint is not None:
-            seen = seen_elevation(HeightMap(out, self.pitch_um), self._calibration.viewpoint, out)
-            peak_um = np.nanmax(seen.z_um) if known else peak_um
+        peak_um, known = level(HeightMap(out, self.pitch_um), datum.zero_um, viewpoint)
         if sigma is not None:
             self._sigma = self._sigma or FrameSigma(self._coarse, self.method)
             self._sigma.write(datum.level(coarse), image, reading, datum, out, sigma)
@@ -230,7 +230,7 @@ class FrameSolver:
             contact_fraction=shaded_fraction(_subsample(image, max(1, image.shape[1] // SAMPLED_COLUMNS))),
             clipped_fraction=float(np.count_nonzero(intensity.clipped) / intensity.clipped.size),
             masked_fraction=float(1.0 - known / out.size),
-            peak_um=float(peak_um) if known else None,
+            peak_um=peak_um if known else None,
             is_relative=datum.is_relative,
         )
 
@@ -259,9 +259,7 @@ class FrameSolver:
         if self._cell == 1:
             return intensity, None
         rows, columns = self._coarse_rest.shape[:2]
-        mean, square = np.empty((3, rows, columns), np.float32), np.empty((3, rows, columns), np.float32)
-        planes = np.moveaxis(intensity.values, -1, 0)
-        parallel_rows(block_moments, (rows, columns * self._cell**2), planes, self._cell, mean, square)
+        mean, square = block_moments(np.moveaxis(intensity.values, -1, 0), self._cell, (rows, columns))
         valid, clipped = (
             cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).view(np.bool_)
             for mask in (intensity.valid, intensity.clipped)
@@ -269,13 +267,14 @@ class FrameSolver:
         return NormalizedImage(np.moveaxis(mean, 0, -1), valid, clipped), np.moveaxis(square, 0, -1)
 
     def _fine_slopes(self, intensity: NormalizedImage, reading: CoarseReading) -> GradientField:
-        """Return the slopes of every pixel with what the coarse frame corrects."""
+        """Return the slopes of every pixel with what the coarse frame corrects, as the camera sees them."""
         if self._slopes is None:
-            return estimate_gradients(self._calibration.paper_model, intensity)
+            found, viewpoint = estimate_gradients(self._calibration.paper_model, intensity), self._calibration.viewpoint
+            return found if viewpoint is None else seen_slopes(found, viewpoint, out=found)
         found = self._slopes.evaluate(intensity)
         if self.weighted:
             even_confidence(found, intensity.clipped)
-        FineCorrection(reading, self._cell).apply(found)
+        FineCorrection(reading, self._cell, self._calibration.viewpoint).apply(found)
         return found
 
     def _coarse_heights(self, z_um: Float32Array) -> HeightMap:
@@ -333,27 +332,3 @@ def _zero_invalid(p: Float32Array, q: Float32Array, valid: MaskArray, first: int
             if not valid[r, c]:
                 p[r, c] = np.float32(0.0)
                 q[r, c] = np.float32(0.0)
-
-
-def _shift_to_zero(z_um: Float32Array, zero_um: Any, out: Float32Array) -> tuple[Any, int]:
-    """Write heights minus `zero_um`, possibly in place; returns the largest and the number of finite ones."""
-    highest, known = np.empty(len(out), np.float32), np.empty(len(out), np.int64)
-    parallel_rows(_shift_rows, out.shape, z_um, zero_um, out, highest, known)
-    return highest.max(), int(known.sum())
-
-
-@njit(cache=True, nogil=True)
-def _shift_rows(z_um: Any, zero_um: Any, out: Any, highest: Any, known: Any, first: int, last: int) -> None:
-    for r in range(first, last):
-        highest[r], known[r] = _shift_row(z_um[r], zero_um, out[r])
-
-
-@njit(cache=True)
-def _shift_row(z_um: Any, zero_um: Any, out: Any) -> tuple[Any, int]:
-    highest, known = np.float32(-np.inf), 0
-    for c in range(out.size):
-        z = z_um[c] - zero_um
-        out[c] = z
-        known += np.isfinite(z)
-        highest = z if z > highest else highest
-    return highest, known
