@@ -194,6 +194,23 @@ def write_any_sign() -> None:
             stream.reconfigure(errors="plain", line_buffering=True)
 
 
+def refused_by_system(error: OSError) -> str:
+    """A sentence for what the system refused and no part put into words: a file by its name, else the output.
+
+    An output that is refused goes nowhere from now on: the interpreter's last flush must not fail either.
+    """
+    if error.filename is None:
+        discard_output()
+        return f"the output cannot be written ({error.strerror or error}): redirect it elsewhere"
+    mend = "let this user read and write it, or name another place"
+    return f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror}): {mend}"
+
+
+def discard_output() -> None:
+    """Send what is still to be printed nowhere: the reader of the output has gone, or its disk is full."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def print_json(document: object) -> None:
     """Print a document to standard output as one line of JSON; paths and times become texts.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final
@@ -21,9 +20,11 @@ from device.command_line import (
     Folder,
     NewWords,
     add_commands,
+    discard_output,
     examples_text,
     in_new_words,
     make_app,
+    refused_by_system,
     sentence,
     unknown_command,
     write_any_sign,
@@ -314,9 +315,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("stopped", 130)
     except BrokenPipeError:
-        # The reader of the output is gone: the interpreter's last flush must not fail either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
         return 141
+    except OSError as error:
+        return _fail(refused_by_system(error), BAD_ARGUMENTS)
 
 
 def _fail(what: object, code: int) -> int:

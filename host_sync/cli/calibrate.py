@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from device.bundles.calibration import read_calibration
+from device.bundles.calibration import CALIBRATION_MANIFEST, read_calibration
 from device.command_line import Folder
 from device.io.atomic import check_output, write_output
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
 from host_sync.errors import CalibrationFileError, FrameSetError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.frame_set_file import SET_FILE, set_file
 from host_sync.frames.linear_light import read_frame
 from host_sync.library.library import Library
 
@@ -42,7 +44,8 @@ def calibrate_command(
     Parameters
     ----------
     source
-        The frame set's file, whose presses calibrate; or a calibration's folder; with --library, a calibration's id.
+        The frame set, its file or its folder, whose presses calibrate; or a calibration's folder; with --library, a
+        calibration's id.
     out
         The calibration's file. With --check, the folder for certificate.pdf, certificate.json, the calibration's
         report, and the result of every scan.
@@ -68,7 +71,7 @@ def calibrate_command(
         tell("loading compiled code")
         kept = obtain_calibration(source, library, tell, paper=paper)
         tell("drawing the overview")
-        kept = with_overview(kept, _reference_of(source))
+        kept = with_overview(kept, None if library else _reference_of(set_file(Path(source))))
         kept.write(out)
         picture = out.with_name(f"{out.name}.png")
         write_output(picture, kept.report[OVERVIEW_FILE])
@@ -79,11 +82,11 @@ def calibrate_command(
     return DONE if kept.calibration.assessment.passed else PARTLY
 
 
-def _reference_of(source: str) -> LinearFrame | None:
+def _reference_of(source: Path) -> LinearFrame | None:
     """The frame of untouched skin of a frame set; None of another source, or where the set names none."""
-    if not source.endswith(".toml"):
+    if source.suffix != ".toml":
         return None
-    reference = load_frame_set(Path(source)).reference
+    reference = load_frame_set(source).reference
     return read_frame(reference) if reference else None
 
 
@@ -169,10 +172,14 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
     from host_sync.calibration_file.calibrator import Calibrator
 
     calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
-    path = Path(name)
     if library is not None:
         return calibrator.of_bundle(Library(library).find_calibration(name))
+    path = set_file(Path(name))
     if path.is_dir():
+        if not os.path.lexists(path / CALIBRATION_MANIFEST):
+            raise FrameSetError(
+                f"{path}: holds no {SET_FILE} and no {CALIBRATION_MANIFEST}: `retrosync import` describes its images"
+            )
         return calibrator.of_bundle(read_calibration(path))
     if is_archive(path):
         tell("reading the calibration")

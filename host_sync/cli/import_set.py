@@ -14,6 +14,7 @@ from device.errors import DeviceError
 from device.io.atomic import check_output
 from host_sync.cli.console import DONE, print_line, status_spinner
 from host_sync.errors import FrameSetError
+from host_sync.frames.frame_set_file import SET_FILE
 
 if TYPE_CHECKING:
     from host_sync.importers.draft import Draft, Said
@@ -23,8 +24,6 @@ Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "fots", "digit", "image
 
 FIELD_TOLERANCE: Final = 0.05
 """The field's width as stated may be off by this fraction: the gel is thick, and streams are cropped."""
-
-SET_FILE: Final = "frameset.toml"
 
 
 def import_command(

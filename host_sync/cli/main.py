@@ -14,7 +14,17 @@ from typing import Final
 
 from cyclopts import CycloptsError
 
-from device.command_line import Command, NewWords, add_commands, in_new_words, make_app, sentence, write_any_sign
+from device.command_line import (
+    Command,
+    NewWords,
+    add_commands,
+    discard_output,
+    in_new_words,
+    make_app,
+    refused_by_system,
+    sentence,
+    write_any_sign,
+)
 from device.errors import DeviceError
 from device.shutdown import signals_as_keyboard_interrupt
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
@@ -299,14 +309,8 @@ def run(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         return print_error("stopped: unfinished results are not kept", 130)
     except BrokenPipeError:
-        _discard_output()
+        discard_output()
         return 141
     except OSError as error:
-        _discard_output()
-        return print_error(f"the output cannot be written ({error.strerror or error}): redirect it elsewhere", PARTLY)
+        return print_error(refused_by_system(error), PARTLY if error.filename is None else BAD_INPUT)
     return int(result or DONE)
-
-
-def _discard_output() -> None:
-    """Send the interpreter's last flush nowhere: the reader of the output has gone, or it is full."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -51,9 +51,13 @@ def is_raw_tiff(tiff: tifffile.TiffFile) -> bool:
 
 
 def every_page(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
-    """The pages of a TIFF, and after them those inside of pages."""
-    pages = [page.aspage() for page in tiff.pages]
-    return pages + [inner.aspage() for page in pages for inner in page.pages or ()]
+    """The pages of a TIFF, and after them those inside of pages; ValueError where one leads back to an earlier one."""
+    pages: dict[int, tifffile.TiffPage] = {}
+    for page in tiff.pages:
+        if page.offset in pages:
+            raise ValueError(f"page {len(pages)} leads back to an earlier one")
+        pages[page.offset] = page.aspage()
+    return [*pages.values(), *(inner.aspage() for page in pages.values() for inner in page.pages or ())]
 
 
 def is_page_whole(page: tifffile.TiffPage, size: int) -> bool:

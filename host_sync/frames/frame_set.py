@@ -21,6 +21,7 @@ from host_sync.frames.frame_set_file import (
     PressTable,
     image_path,
     read_frame_set_file,
+    set_file,
 )
 from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
@@ -143,8 +144,9 @@ class FrameSet:
 
 
 def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
-    """Read and check a frame set file; of its images, only headers, the first press and, of 16 bit, counts are read.
+    """Read and check a frame set; of its images, only headers, the first press and, of 16 bit, counts are read.
 
+    path : its file, or the folder that holds it
     calibrates : refuse a set without a calibration press
 
     Raises
@@ -152,6 +154,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     FrameSetError
         Names the file and the key, or the image, that is wrong.
     """
+    path = set_file(path)
     file = read_frame_set_file(path, calibrates=calibrates)
     try:
         pitch_um, pixel_shape = square_pitch(file.pixel_pitch_um)

@@ -14,6 +14,7 @@ from hal.validation import accepted_at, split_validation
 from host_sync.errors import FrameSetError
 
 Encoding = Literal["linear", "srgb"]
+SET_FILE: Final = "frameset.toml"
 CALIBRATION_FOLDER: Final = "calibration"
 """Folder of the calibration report beside the scans; no scan may have this name."""
 
@@ -23,7 +24,7 @@ MAX_LIGHTS: Final = 8
 _SCAN_NAME: Final = re.compile(r"\w([\w .()+-]{0,98}[\w()+-])?")
 _DEVICE: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
-NO_CONTROLS: Final = r"^[^\0-\x1f]+$"
+NO_CONTROLS: Final = r"^[^\0-\x1f]*$"
 """A path with a control character was written with backslashes, which begin an escape in TOML."""
 
 Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
@@ -119,6 +120,12 @@ def names_a_folder(name: str) -> bool:
     return _SCAN_NAME.fullmatch(name) is not None and _DEVICE.fullmatch(name) is None
 
 
+def set_file(path: Path) -> Path:
+    """The file of a frame set; of a folder, the one that it holds under the usual name."""
+    inside = path / SET_FILE
+    return inside if path.is_dir() and inside.is_file() else path
+
+
 def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
     """Tables of a frame set, each key checked; no image is read.
 
@@ -137,8 +144,10 @@ def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
 def _decode(path: Path) -> FileTable:
     try:
         return decode_toml(path.read_bytes(), FileTable)
+    except IsADirectoryError as error:
+        raise FrameSetError(f"{path}: holds no {SET_FILE}: `retrosync import` describes its images") from error
     except OSError as error:
-        raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name a frameset.toml") from error
+        raise FrameSetError(f"{path}: cannot be read ({error.strerror}): name a {SET_FILE}") from error
     except msgspec.ValidationError as error:
         key, problem = split_validation(error)
         if key == "encoding":

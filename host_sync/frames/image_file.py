@@ -85,7 +85,7 @@ def _opened(path: Path) -> tuple[ImageInfo, bool, Decode]:
         with path.open("rb") as stream:
             start = stream.read(16)
             stream.seek(0)
-            if start and _PNG.startswith(start[:8]):
+            if start.startswith(_PNG[:4]) or (start and _PNG.startswith(start)):
                 opened = _open_png(path, stream)
             elif start.startswith(_JPEG):
                 opened = _open_jpeg(path, stream.read())
@@ -93,13 +93,18 @@ def _opened(path: Path) -> tuple[ImageInfo, bool, Decode]:
                 opened = open_raw(path)
             elif start[:4] in _TIFF:
                 opened = open_tiff(path)
+            elif start.strip().isascii() and b"\0" not in start:
+                what = "holds text, such as a web page or a pointer of Git LFS" if start.strip() else "is empty"
+                raise FrameSetError(f"{path}: {what}: fetch the image itself")
             else:
                 raise FrameSetError(f"{path}: is not a PNG, TIFF, JPEG or camera raw image: save it as one of them")
     except OSError as error:
         raise FrameSetError(f"{path}: cannot be read ({error.strerror}): correct the path or the file") from error
     info = opened[0]
     rows, columns = info.shape
-    if min(rows, columns) < 1 or rows * columns > MAX_PIXELS:
+    if min(rows, columns) < 1:
+        raise FrameSetError(f"{path}: claims {columns}x{rows} pixels: name another file")
+    if rows * columns > MAX_PIXELS:
         raise FrameSetError(f"{path}: claims {columns}x{rows} pixels, more than any sensor has: name another file")
     if info.channels not in (1, 3) or info.bits not in (8, 16):
         channels = "1 channel" if info.channels == 1 else f"{info.channels} channels"
@@ -144,6 +149,8 @@ def _open_png(path: Path, stream: BinaryIO) -> tuple[ImageInfo, bool, Decode]:
         elif kind == b"eXIf":
             stream.seek(at)
             info = replace(info, orientation=exif_orientation(stream.read(length)))
+        elif kind == b"acTL":
+            raise FrameSetError(f"{path}: holds the frames of an animation: save the right one as its own file")
         elif kind == b"tRNS":
             info = replace(info, has_alpha=True)
         elif kind == b"sBIT" and bits == 16:

@@ -305,3 +305,12 @@ def test_the_demonstration_takes_the_options_before_it_and_ends_with_the_screens
     assert shown == [(store, load_board_profile(str(small_board)).name)] * 2
     assert "is no simulated handheld" in refusal(capsys, ["--board", "pi5-imx296", "demo"], 2)
     assert folder_name("twin") != folder_name("twin-distant")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_the_handhelds_output_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "device", "--board", "twin", "--store", str(tmp_path / "store"), "list"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "retroscan: the output cannot be written (No space left on device): redirect it elsewhere\n"

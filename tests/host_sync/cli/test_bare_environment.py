@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from host_sync.calibration_file.cache import CalibrationCache
-from host_sync.cli.main import main
+from host_sync.cli.main import main, run
 from host_sync.errors import LibraryError
 from host_sync.kernels.cache import SETTING, USER_CACHE, cache_home, configure_cache
 from host_sync.library.library import default_library
@@ -57,3 +57,32 @@ def test_every_sentence_is_printed_in_every_encoding(encoding: str) -> None:
     assert line == (plain if encoding == "ascii" else SENTENCE)
     assert run.stderr.decode(encoding) == f"retrosync: {line}\n"
     assert json.loads(document) == {"µ": SENTENCE}
+
+
+def test_a_folder_that_the_system_keeps_closed_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    closed, usual = tmp_path / "closed", Path.stat
+
+    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path.is_relative_to(closed):
+            raise PermissionError(13, "Permission denied", str(path))
+        return usual(path, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(Path, "stat", stat)
+    for command in (["measure"], ["view", "--no-browser"], ["calibrate", "--out", str(tmp_path / "gel.calibration")]):
+        assert main([command[0], str(closed), *command[1:]]) == 2
+        said = capsys.readouterr()
+        assert said.err.startswith(f"retrosync: {closed}")
+        assert "cannot be used (Permission denied): let this user read" in said.err
+
+
+def test_an_output_without_a_name_is_that_of_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full() -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("device.command_line.discard_output", lambda: None)
+    assert run(full) == 1
+    assert "the output cannot be written (No space left on device)" in capsys.readouterr().err

@@ -65,6 +65,11 @@ def write(tmp_path: Path) -> Write:
     return write_text
 
 
+def test_a_folder_stands_for_the_file_in_it(write: Write, tmp_path: Path) -> None:
+    file = write(GOOD)
+    assert load_frame_set(tmp_path) == load_frame_set(file)
+
+
 def refused(path: Path) -> str:
     with pytest.raises(FrameSetError) as caught:
         load_frame_set(path)
@@ -170,7 +175,7 @@ def test_another_size_is_named(write: Write, tmp_path: Path, name: str, key: str
 
 def test_a_missing_or_wrong_frame_set_is_reported(tmp_path: Path) -> None:
     assert "cannot be read (No such file" in refused(tmp_path / "absent.toml")
-    assert "cannot be read (Is a directory" in refused(tmp_path)
+    assert "holds no frameset.toml: `retrosync import` describes" in refused(tmp_path)
     (tmp_path / "latin.toml").write_bytes(b'name = "\xff"')
     assert "is not TOML" in refused(tmp_path / "latin.toml")
 
@@ -217,7 +222,7 @@ def test_half_a_jpeg_with_a_forged_end_is_refused(tmp_path: Path, flags: list[in
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda path: path.write_text("no image"), "is not a PNG, TIFF, JPEG or camera raw image"),
+        (lambda path: path.write_text("no image"), "holds text, such as a web page"),
         (lambda path: cv2.imwrite(str(path), np.zeros((20, 30, 4), np.uint8)), "has transparent pixels"),
         (lambda path: tifffile.imwrite(path, np.zeros((20, 30, 3), np.float32), photometric="rgb"), "holds float32"),
         (lambda path: tifffile.imwrite(path, np.zeros((2, 20, 30), np.uint8), photometric="minisblack"), "2 pages"),

@@ -334,3 +334,41 @@ def test_a_mosaic_that_is_turned_keeps_its_colours(orientation: int) -> None:
     rows, columns = turned.mosaic.shape
     assert (rows, columns) == shape_upright(colour.shape, orientation)
     assert np.array_equal(turned.mosaic, named[:rows, :columns] * 1000 + 64)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "is empty: fetch the image itself"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "holds text"),
+        (b"\n<!DOCTYPE html><html>not found</html>", "holds text"),
+        (b"\x89PNG\r\r\n\x1a\r\n\0\0\0\rIHDR", "is truncated or damaged"),
+        (b"\x89PNG\n\x1a\n\0\0\0\rIHDR", "is truncated or damaged"),
+        (b"II*\0\x08\0\0\0\0\0\x08\0\0\0", "is truncated or damaged"),
+        (b"BM\x36\x24\0\0\0\0\0\0\x36", "is not a PNG, TIFF, JPEG or camera raw image"),
+        (b"\xff\xd8\xff", "is truncated or damaged"),
+    ],
+    ids=["nothing", "pointer", "page", "ends added", "ends taken", "pages in a ring", "bitmap", "start alone"],
+)
+def test_what_is_no_image_is_said_as_it_is(tmp_path: Path, data: bytes, words: str) -> None:
+    path = tmp_path / "frame.png"
+    path.write_bytes(data)
+    with pytest.raises(FrameSetError, match=words):
+        read_info(path)
+
+
+def test_an_animation_is_no_frame(tmp_path: Path) -> None:
+    path = tmp_path / "frame.png"
+    first, second = Image.fromarray(colours()), Image.fromarray(colours()[::-1].copy())
+    first.save(path, save_all=True, append_images=[second])
+    with pytest.raises(FrameSetError, match="an animation: save the right one"):
+        read_image(path)
+
+
+def test_an_image_without_pixels_is_not_called_too_large(tmp_path: Path) -> None:
+    path = tmp_path / "frame.png"
+    data = bytearray(encoded(Image.fromarray(colours()), "PNG"))
+    data[16:20] = bytes(4)
+    path.write_bytes(data)
+    with pytest.raises(FrameSetError, match="claims 0x48 pixels: name another file"):
+        read_info(path)
