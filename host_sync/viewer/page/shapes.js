@@ -4,6 +4,8 @@ import { svg } from "./dom.js";
 import { drawn, handles, KINDS, nextName, shapeHandles, sorted } from "./recipe_shapes.js";
 
 const REGION = { form: "rectangle", key: "region_um" };
+const SIGN_PX = 8; // at most, of a label's letters
+const LINE_PX = 17;
 const MARKS = { pass: "✓", fail: "✗", undecided: "?" };
 
 export class Shapes {
@@ -117,6 +119,7 @@ export class Shapes {
   /** Elements of the overlay. */
   draw() {
     if (this.stage.relief.eye.space) return [];
+    this.labels = [];
     const { recipe } = this.history;
     const parts = (recipe.mask ?? []).map((stroke) => this.stroke(stroke));
     for (const region of recipe.level?.regions_um ?? []) parts.push(...this.outline(this.rectangle(region), "level"));
@@ -137,11 +140,22 @@ export class Shapes {
     const verdict = ["fail", "undecided", "pass"].find((one) => verdicts.includes(one)) ?? "";
     const parts = KINDS[kind].forms.flatMap((shape) => this.outline(this.shape(shape, item), verdict));
     for (const um of this.found?.steps?.find((one) => one.name === item.name)?.edges_um ?? []) parts.push(this.edge(item, um));
-    const at = this.screen(handles(kind, item).at(-1).at);
     const main = numbers[0]?.value === null || !numbers.length ? "" : `: ${numbers[0].number}`;
-    const words = svg("text", { x: at.x + 12, y: at.y - 8, class: "label" });
-    words.textContent = `${MARKS[verdict] ? `${MARKS[verdict]} ` : ""}${item.name}${main}`;
-    return [...parts, words, ...handles(kind, item).map((one, number) => this.handle(one.at, `${kind}:${index}:${number}`))];
+    const words = `${MARKS[verdict] ? `${MARKS[verdict]} ` : ""}${item.name}${main}`;
+    return [...parts, this.label(words, this.screen(handles(kind, item).at(-1).at)), ...handles(kind, item).map((one, number) => this.handle(one.at, `${kind}:${index}:${number}`))];
+  }
+
+  /** Words beside a handle, below those of other shapes that would lie over them. */
+  label(words, handle) {
+    const left = handle.x + 12;
+    const right = left + SIGN_PX * words.length;
+    let y = handle.y - 8;
+    const covered = (one) => left < one.right && one.left < right && Math.abs(one.y - y) < LINE_PX;
+    while (this.labels.some(covered)) y += LINE_PX;
+    this.labels.push({ left, right, y });
+    const element = svg("text", { x: left, y, class: "label" });
+    element.textContent = words;
+    return element;
   }
 
   shape({ form, key, keys }, item) {

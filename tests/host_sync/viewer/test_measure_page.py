@@ -101,6 +101,27 @@ def test_what_is_clicked_is_measured_and_saved(
     assert " ± " in numbers(page, "surface")["Sa"]
 
 
+def test_labels_lie_over_neither_each_other_nor_a_handle(served: Any, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    page.wait_for_selector(".card")
+    open_measuring(page, "hill")
+    for tool in ("Line", "Distance", "Circle", "Volume"):
+        page.get_by_role("button", name=tool, exact=True).click()
+        page.get_by_role("button", name="Place in the middle").click()
+        page.wait_for_selector(f".item:has(input[aria-label='Name of {tool.lower()} 1'])")
+    calm(page)
+    boxes = [one.bounding_box() for one in page.locator(".lines .label").all()]
+    assert len(boxes) == 4
+    for at, one in enumerate(boxes):
+        for other in boxes[:at]:
+            beside = one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
+            assert beside or abs(one["y"] - other["y"]) > 10.0
+    for handle in page.locator("[data-handle]").all():
+        box = handle.bounding_box()
+        place = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+        assert page.evaluate("([x, y]) => document.elementFromPoint(x, y).dataset.handle !== undefined", place)
+
+
 def test_undo_goes_back_and_redo_forward(served: Any, visit: Callable[..., Any]) -> None:
     page = visit(served)
     page.wait_for_selector(".card")
