@@ -32,6 +32,7 @@ from device.instrument.events import (
     ZeroChecked,
 )
 from device.instrument.instrument import Instrument
+from device.instrument.state import AreaState, SpotState
 from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.frame_rate import FrameRateLimiter
@@ -53,8 +54,9 @@ UPDATES_PER_S: Final = 10.0
 SHOWN_OBJECTS: Final = ("pebbles", "coin", "step", "texture", "groove", "sphere-grid", "sinusoid")
 """Objects that key d presses, in turn; the way back needs one that does not repeat itself."""
 WIDE_OBJECT: Final = "pebbles"
-ASTRAY: Final = (1.5, -1.0, 6.0)
-"""Way of the first touch of a demonstrated search from the spot: mm right, mm down and degrees clockwise."""
+ASTRAY: Final = ((1.5, -1.0, 6.0), (-1.387, 1.151, -6.0))
+"""Ways of demonstrated touches that know none, in turn from the spot and back: mm right, mm down, degrees clockwise."""
+STILL: Final = (0.0, 0.0, 0.0)
 
 KEYS_IN_WORDS: Final = {
     "go('scan')": "Scan",
@@ -157,6 +159,8 @@ class RetroscanApp(App[str]):
         self._live_rate = FrameRateLimiter(1.0 / UPDATES_PER_S)
         self._due_s: float | None = None
         self._demonstrated = 0
+        self._touched = 0
+        self._followed: SpotState | AreaState | None = None
         self._shown = SHOWN_OBJECTS[0]
         self._objects: dict[str, str] = {}
         self._last_event: Event | None = None
@@ -282,12 +286,19 @@ class RetroscanApp(App[str]):
         """Let the twin's operator press the next object, or follow the way to a spot or over an area."""
         state, way = self.instrument.state, None
         if state.spot:
-            self._shown, way = self._objects.get(state.spot.scan_id, self._shown), state.spot.way or ASTRAY
+            self._shown = self._objects.get(state.spot.scan_id, self._shown)
+            way = state.spot.way or ASTRAY[self._touched % len(ASTRAY)]
         elif state.area:
             self._shown, way = WIDE_OBJECT, state.area.way
         else:
             self._shown = SHOWN_OBJECTS[self._demonstrated % len(SHOWN_OBJECTS)]
             self._demonstrated += 1
+        followed = state.spot or state.area
+        if followed and followed is self._followed:  # The hand went this way already: it presses there again.
+            way = STILL
+        elif followed and state.spot and not state.spot.way:
+            self._touched += 1
+        self._followed = followed
         self.instrument.demonstrate(self._shown, way, pushes=False)
 
     async def action_go(self, place: Place) -> None:

@@ -1,6 +1,7 @@
 """The fault menu of the demonstration, by key presses; on an instrument it does not exist."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from device.cli.demo import prepare
@@ -115,6 +116,46 @@ def test_the_way_back_to_a_demonstrated_scan_is_found(play: Callable[..., None],
                 break
         assert stage.instrument.state.spot.is_reached
         assert stage.instrument.state.scans_stored == 1
+
+    play(scenario, root, is_demo=True)
+
+
+def test_a_second_press_before_the_touch_does_not_lead_astray(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.live(24)
+        await demonstrated(stage)
+        await stage.press("3", "w")
+        await stage.live(2)
+        places = []
+        for _ in range(4):
+            await stage.press("d")
+            await stage.live(1)
+            places.append(complex(*stage.bench.pressed.centre_mm))
+        assert max(abs(place - places[0]) for place in places) < 0.5
+        await stage.press("space")
+        await stage.live(2)
+        stage.bench.place(None)
+        stage.bench.clock.sleep(1.0)
+        await stage.live(30)
+        assert stage.instrument.state.spot.way is not None
+
+    play(scenario, root, is_demo=True)
+
+
+def test_a_touch_that_is_not_recognised_leads_back(play: Callable[..., None], root: Path) -> None:
+    async def scenario(stage: Stage) -> None:
+        await stage.live(24)
+        await demonstrated(stage)
+        await stage.press("3", "w")
+        await stage.live(2)
+        places = []
+        for _ in range(6):
+            await stage.press("d")
+            await stage.live(1)
+            places.append(complex(*stage.bench.pressed.centre_mm))
+            states = stage.instrument._states
+            states.update(spot=replace(states.state.spot, sentence="Place unknown"))
+        assert max(abs(place - places[0]) for place in places) < 3.0
 
     play(scenario, root, is_demo=True)
 
