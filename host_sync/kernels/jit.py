@@ -109,8 +109,11 @@ class _KernelCache(_Cache):
             return None
         if blake2b(content[DIGEST_BYTES:], digest_size=DIGEST_BYTES).digest() != content[:DIGEST_BYTES]:
             return None  # a file that was not fully written when the power failed
-        reduced = pickle.loads(content[DIGEST_BYTES:])  # noqa: S301 - written by `save_overload`, in the user's own cache
-        compiled: object = CompileResult._rebuild(target_context, *reduced)  # type: ignore[no-untyped-call]
+        try:
+            reduced = pickle.loads(content[DIGEST_BYTES:])  # noqa: S301 - written by `save_overload`, in the user's cache
+            compiled: object = CompileResult._rebuild(target_context, *reduced)  # type: ignore[no-untyped-call]
+        except (ImportError, AttributeError):
+            return None  # a kernel that it calls, or a type, was in another module when it was compiled
         return compiled
 
     def save_overload(self, signature: object, compiled: Any) -> None:

@@ -101,6 +101,15 @@ def test_a_file_that_was_not_fully_written_is_compiled_again(tmp_path: Path) -> 
     assert kernels.run() == (21, False)
 
 
+def test_a_kernel_whose_callee_moved_to_another_module_is_compiled_again(tmp_path: Path) -> None:
+    kernels = Kernels(tmp_path)
+    assert kernels.run() == (21, True)
+    (kernels.folder / "callee.py").rename(kernels.folder / "moved.py")
+    kernels.change("caller", "from callee", "from moved")
+    assert kernels.run() == (21, True)
+    assert kernels.run() == (21, False)
+
+
 def test_a_folder_that_cannot_be_written_keeps_nothing(tmp_path: Path) -> None:
     kernels = Kernels(tmp_path)
     kernels.cache.write_text("no folder")
