@@ -86,3 +86,14 @@ def test_an_output_without_a_name_is_that_of_the_terminal(
     monkeypatch.setattr("device.command_line.discard_output", lambda: None)
     assert run(full) == 1
     assert "the output cannot be written (No space left on device)" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_frame_set_is_no_damaged_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", str(tmp_path), "--out", str(tmp_path / "gel.calibration")]) == 2
+    said = capsys.readouterr().err
+    assert said.endswith("holds no frameset.toml and no calibration.json: `retrosync import` describes its images\n")
+    (tmp_path / "frameset.toml").write_text('name = "bench"')
+    assert main(["calibrate", str(tmp_path), "--out", str(tmp_path / "gel.calibration")]) == 2
+    assert f"{tmp_path / 'frameset.toml'}: pixel_pitch_um is missing" in capsys.readouterr().err
