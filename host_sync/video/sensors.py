@@ -235,7 +235,8 @@ class PlayedCapture:
             frame = next(self._frames, None)
         if frame is None:
             return None
-        self._due_ns += self._period_ns
+        # What cannot be read in its own time is played as fast as it is read, or its age would grow without end.
+        self._due_ns = max(self._due_ns + self._period_ns, self._clock.monotonic_ns())
         self._clock.sleep((self._due_ns - self._clock.monotonic_ns()) * 1e-9)
         return frame, self._due_ns
 

@@ -89,6 +89,21 @@ def test_a_recording_is_played_in_its_own_time() -> None:
     assert [endless.read()[0].name for _ in range(4)] == ["picture 1", "torn", "picture 2", "picture 1"]
 
 
+def test_a_recording_that_is_read_too_slowly_is_played_more_slowly() -> None:
+    """A frame is as old as its reading, however many were late before it."""
+
+    class Slow(Recorded):
+        def frames(self) -> Iterator[StoredFrame | BadFrame]:
+            for frame in super().frames():
+                clock.sleep(0.2)
+                yield frame
+
+    clock = VirtualClock()
+    played = PlayedCapture(Slow(), clock=clock)
+    assert [played.read()[1] for _ in range(3)] == [200_000_000, 400_000_000, 600_000_000]
+    assert clock.monotonic_ns() == 600_000_000
+
+
 def test_what_names_a_sensor_and_what_a_recording(tmp_path: Path) -> None:
     assert [is_sensor(name) for name in (0, "/dev/video2", "digit", "own.toml")] == [True] * 4
     assert not is_sensor(tmp_path)
