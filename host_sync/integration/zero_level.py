@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import SurfaceCells, height_of_rest_um, is_relief, skin_at_rest
+from host_sync.kernels.jit import njit
 
 NO_ZERO: Final = "no zero: heights are relative, because no untouched skin was found"
 """The warning where nothing was taken for zero."""
@@ -232,14 +233,26 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array) -> MaskArray:
 def block_medians(z_um: Float32Array, skin: MaskArray) -> Float64Array:
     """Median of a map (H, W) over each block of the field that shows enough of this skin, float64 array (blocks,)."""
     step = max(1, skin.shape[1] // WIDEST_CELLS)
-    z, here = z_um[::step, ::step], skin[::step, ::step]
-    here = here & np.isfinite(z)
+    z, here = np.ascontiguousarray(z_um[::step, ::step]), skin[::step, ::step]
     side = max(1, z.shape[1] // BLOCKS)
-    row, column = (np.arange(size) // side for size in z.shape)
-    number = (row[:, None] * (column[-1] + 1) + column[None, :])[here]
-    heights = z[here]
-    groups = [heights[number == own] for own in np.unique(number)]
-    return np.array([float(np.median(group)) for group in groups if group.size >= MIN_CELLS])
+    medians = np.empty((-(-z.shape[0] // side), -(-z.shape[1] // side)))
+    _write_medians(z, np.ascontiguousarray(here), side, medians)
+    return medians[np.isfinite(medians)]
+
+
+@njit(cache=True, nogil=True)
+def _write_medians(z: Any, here: Any, side: int, medians: Any) -> None:
+    """Write the median of finite heights of skin over each block of `side` x `side` cells; NaN of fewer than enough."""
+    own = np.empty(side * side, z.dtype)
+    for i in range(medians.shape[0]):
+        for j in range(medians.shape[1]):
+            count = 0
+            for r in range(i * side, min((i + 1) * side, z.shape[0])):
+                for c in range(j * side, min((j + 1) * side, z.shape[1])):
+                    if here[r, c] and np.isfinite(z[r, c]):
+                        own[count] = z[r, c]
+                        count += 1
+            medians[i, j] = np.median(own[:count]) if count >= MIN_CELLS else np.nan
 
 
 def trimmed_mean(values: Float64Array) -> Float64Array:

@@ -54,7 +54,7 @@ STRETCH: Final = 30
 """Frames that share one light; pattern, layout and levels are checked of the first of them."""
 
 SAMPLED_COLUMNS: Final = 180
-"""Number of columns sampled for the contact fraction; rows are sampled at the same distance."""
+"""Columns sampled for the contact fraction, at most; rows are sampled at the same distance."""
 
 DATUM_PX: Final = 192
 """Columns of a coarse frame that show untouched skin and its height, at most."""
@@ -227,7 +227,7 @@ class FrameSolver:
             self._sigma = self._sigma or FrameSigma(self._coarse, self.method)
             self._sigma.write(datum.level(coarse), image, reading, datum, out, sigma)
         return FrameStatistics(
-            contact_fraction=shaded_fraction(_subsample(image, max(1, image.shape[1] // SAMPLED_COLUMNS))),
+            contact_fraction=shaded_fraction(_subsample(image, -(-image.shape[1] // SAMPLED_COLUMNS))),
             clipped_fraction=float(np.count_nonzero(intensity.clipped) / intensity.clipped.size),
             masked_fraction=float(1.0 - known / out.size),
             peak_um=peak_um if known else None,

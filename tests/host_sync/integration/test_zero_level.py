@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import GradientField, HeightMap
-from host_sync.integration.zero_level import SPREAD_SHARE, find_datum
+from host_sync.integration.zero_level import SPREAD_SHARE, block_medians, find_datum
 
 SHAPE, PITCH_UM = (240, 320), 10.0
 ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -75,3 +75,16 @@ def test_skin_that_lies_over_other_skin_is_no_zero(deepest_um: float, is_zero: b
     assert datum_of(valley).is_relative != is_zero
     height = HeightMap(valley.astype(np.float32), PITCH_UM)
     assert not find_datum(height, gradients_of(valley), are_its_own=True).is_relative
+
+
+def test_medians_of_blocks_are_those_of_their_skin_alone() -> None:
+    """Blocks of 30 x 30 cells; a block with fewer than eight cells of skin has no median."""
+    z_um = np.random.default_rng(5).normal(size=(70, 240)).astype(np.float32)
+    skin = z_um > -1.0
+    z_um[:5] = np.nan
+    skin[30:60, :30] = False
+    skin[30, :7] = True
+    blocks = [(slice(r, r + 30), slice(c, c + 30)) for r in (0, 30, 60) for c in range(0, 240, 30)]
+    known = [z_um[here][skin[here] & np.isfinite(z_um[here])] for here in blocks]
+    assert [len(own) for own in known].count(7) == 1
+    np.testing.assert_array_equal(block_medians(z_um, skin), [np.median(own) for own in known if len(own) != 7])
