@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
+from device.imaging.frame_light import FrameLight
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 
 CELLS_ACROSS: Final = 64
@@ -30,7 +32,8 @@ MIN_CELLS: Final = 12
 """Cells along the field's columns, and along its shorter side for a model to be made."""
 
 MIN_LIGHT: Final = 0.02
-"""Intensity below which a logarithm says nothing more."""
+LEAST_LIGHT: Final = 0.1
+"""Intensity below which a logarithm says nothing more, and that of untouched skin, at least."""
 
 FREE_RADII: Final = 2.5
 """Distance from a ball's centre, in contact radii, from which skin counts as free."""
@@ -57,11 +60,31 @@ LIT: Final = 0.5
 """Cells brighter than the darkest that can be divided by, over this, are lit."""
 
 ROUNDS: Final = 6
+WIDE_ROUNDS: Final = 3
+"""Steps of the search for a frame's gains and offsets; in the first ones half of the field counts at least half."""
+
+OUTLYING: Final = 3.0
+"""Standard deviations at which the prior of a gain or offset counts half: a lamp is replaced, a blind is opened."""
+
 POOLED_CELLS: Final = 2.0
 """Standard deviation, in cells, of the Gaussian of a neighbourhood."""
 
 CAUCHY: Final = 2.0
 """Squared distance per channel at which the weight of a cell in the fit of gains and offsets has fallen to a half."""
+
+COMMON_SIGMA: Final = 1e-4
+"""Standard uncertainty of the levels of a frame all of whose skin is at rest. Where a part is, it is larger by one over
+that fraction: light from the object and skin that sinks towards rest change the levels."""
+
+BLOCKS: Final = (6, 8)
+BLOCKS_ALIKE: Final = 2.0
+MIN_BLOCKS: Final = 6
+SHOWN: Final = 0.25
+"""Rows and columns of blocks of the field, of which so many err together; levels are found where so many show skin at
+rest on at least this fraction of their cells."""
+
+DOUBTED: Final = 3.0
+"""Standard uncertainties up to which a level is none."""
 
 SHRINKAGE: Final = 2.5
 """Squared distance per channel up to which a slope shrinks to zero; noise has 1 on average."""
@@ -83,15 +106,13 @@ class RestEvidence:
     kept : float32 array of shape (h, w), fraction of its slope that a cell keeps: 0 where the light is that of skin at
         rest, towards 1 where it is not
     lit : bool array of shape (h, w), cells whose reference is bright enough to divide by; others count as at rest
-    gains : float64 array of shape (3,), logarithm of each channel's gain over the calibration
-    offsets : float64 array of shape (3,), added light, fraction of full scale
+    light : of the frame
     gain_sigma : standard deviation of the gains from frame to frame
     """
 
     kept: Float32Array
     lit: MaskArray
-    gains: Float64Array
-    offsets: Float64Array
+    light: FrameLight
     gain_sigma: float
 
     @property
@@ -109,7 +130,7 @@ class RestEvidence:
         return np.asarray(cv2.resize(self.kept, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SkinAtRest:
     """Noise of the light of untouched skin from frame to frame.
 
@@ -118,6 +139,7 @@ class SkinAtRest:
     roughness : float32 array of shape (h, w, 3), variance of log intensity within a cell
     darkness : float32 array of shape (h, w, 3), one over the light of untouched skin (fraction of full scale)
     gain_sigma, offset_sigma : standard deviations of a frame's gain (relative) and offset (fraction of full scale)
+    removes_light : gains and offsets were removed from the presses; False where held-out balls did not confirm it
     """
 
     covariance: Float32Array
@@ -126,6 +148,7 @@ class SkinAtRest:
     darkness: Float32Array
     gain_sigma: float
     offset_sigma: float
+    removes_light: bool = True
 
     @classmethod
     def of(
@@ -155,10 +178,10 @@ class SkinAtRest:
         begin = _diagonal(wide)
         found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide_offset)
         near = np.ones_like(weight)
+        levels = np.zeros((len(means), 3, 2))
         for _ in range(ROUNDS):
-            levels = [found._levels(logs, own) for logs, own in zip(means, weight, strict=True)]
-            gains, offsets = (np.array([level[part] for level in levels]) for part in (0, 1))
-            left = np.where(free[..., None], means - np.stack([found._field(*level) for level in levels]), 0.0)
+            levels = np.stack([found._levels(*one) for one in zip(means, weight, levels, strict=True)])
+            left = np.where(free[..., None], means - np.stack([found._field(level) for level in levels]), 0.0)
             left = left.astype(np.float32)
             pooled = np.stack([_pooled(one, own) for one, own in zip(left, free, strict=True)])
             found = cls(
@@ -166,8 +189,8 @@ class SkinAtRest:
                 _robust_covariance(pooled, near * free, free, floor),
                 _typical(variances, free),
                 darkness,
-                max(GAIN_SIGMA, float(np.sqrt((gains**2).mean()))),
-                max(FRAME_OFFSET_SIGMA, float(np.sqrt((offsets**2).mean()))),
+                max(GAIN_SIGMA, float(np.sqrt((levels[..., 0] ** 2).mean()))),
+                max(FRAME_OFFSET_SIGMA, float(np.sqrt((levels[..., 1] ** 2).mean()))),
             )
             weight = np.asarray(free * (2.0 / (1.0 + _distance(left, found.covariance))), np.float64)
             near = np.asarray(2.0 / (1.0 + _distance(pooled, found.pooled)), np.float64)
@@ -180,18 +203,19 @@ class SkinAtRest:
         """
         size = self.covariance.shape[:2]
         logs, variance = _cell_logs(image, (size[0], size[1]), squares)
-        weight: Float64Array = np.ones(size)
-        precision = np.linalg.inv(self.covariance.astype(np.float64))
-        for _ in range(ROUNDS):
-            gains, offsets = self._levels(logs, weight)
-            left = np.where(self._lit[..., None], logs - self._field(gains, offsets), np.float32(0.0))
-            distance = np.asarray(cv2.GaussianBlur(_squared(left, precision), (0, 0), 1.0), np.float32)
-            weight = np.asarray(1.0 / (1.0 + (distance / CAUCHY) ** 2), np.float64)
+        weight, levels = np.ones(size), np.zeros((3, 2))
+        for step in range(ROUNDS):
+            levels = self._levels(logs, weight, levels)
+            left = np.where(self._lit[..., None], logs - self._field(levels), np.float32(0.0))
+            distance = np.asarray(cv2.GaussianBlur(_squared(left, self._inverse), (0, 0), 1.0), np.float32)
+            wide = max(CAUCHY, float(np.median(distance[self._lit])) if step < WIDE_ROUNDS else 0.0)
+            weight = np.asarray(1.0 / (1.0 + (distance / wide) ** 2), np.float64)
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
-        gentle = _distance(_pooled(left, np.ones(size, np.bool_)), self.pooled)
+        gentle = _squared(_pooled(left, np.ones(size, np.bool_)), self._pooled_inverse)
         kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))
         calm = _hanging_together(np.where(self._lit, kept, np.float32(0.0)))
-        return RestEvidence(calm, self._lit, gains, offsets, self.gain_sigma)
+        light = self._light(levels, left, calm < RESTING) if self.removes_light else FrameLight.unchanged()
+        return RestEvidence(calm, self._lit, light, self.gain_sigma)
 
     @property
     def noise(self) -> float:
@@ -199,32 +223,81 @@ class SkinAtRest:
         variance = np.einsum("...ii->...", self.covariance) / 3.0
         return float(np.sqrt(np.median(variance)))
 
-    @property
-    def _contrast(self) -> Float32Array:
-        """Change of log intensity with an offset, less its mean over the lit field, which is a gain."""
+    @cached_property
+    def _mean_darkness(self) -> Float32Array:
+        """Mean of `darkness` over the lit field, shape (3,)."""
         lit = self._lit[..., None]
         mean = (self.darkness * lit).sum(axis=(0, 1)) / max(np.count_nonzero(lit), 1)
-        return np.asarray(self.darkness - mean, np.float32)
+        return np.asarray(mean, np.float32)
 
-    @property
+    @cached_property
     def _lit(self) -> MaskArray:
         """True for cells whose reference is bright enough to divide by."""
         return np.asarray((self.darkness < LIT / DARK_FLOOR).all(axis=-1), np.bool_)
 
-    def _levels(self, logs: Float32Array, weight: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Gains and offsets (3,) of cells' log intensity (h, w, 3), by weighted ridge regression a channel."""
-        variance = np.einsum("...ii->...i", self.covariance)
-        prior = np.diag([self.gain_sigma**-2, self.offset_sigma**-2])
-        found = np.empty((3, 2))
-        for channel in range(3):
-            design = np.stack([np.ones_like(weight), self._contrast[..., channel]], axis=-1).reshape(-1, 2)
-            weighted = design * (self._lit * weight / variance[..., channel] / CELLS_ALIKE).reshape(-1, 1)
-            found[channel] = np.linalg.solve(weighted.T @ design + prior, weighted.T @ logs[..., channel].ravel())
-        return found[:, 0], found[:, 1]
+    @cached_property
+    def _inverse(self) -> Float64Array:
+        return np.asarray(np.linalg.inv(self.covariance.astype(np.float64)))
 
-    def _field(self, gains: Float64Array, offsets: Float64Array) -> Float32Array:
-        """Log intensity (h, w, 3) of untouched skin under gains and offsets."""
-        return np.asarray(gains + offsets * self._contrast, np.float32)
+    @cached_property
+    def _pooled_inverse(self) -> Float64Array:
+        return np.asarray(np.linalg.inv(self.pooled.astype(np.float64)))
+
+    @cached_property
+    def _contrast(self) -> Float64Array:
+        """Darkness of cells less its mean, shape (3, cells)."""
+        return (self.darkness - self._mean_darkness).reshape(-1, 3).T.astype(np.float64)
+
+    @cached_property
+    def _precision(self) -> Float64Array:
+        """Information of a cell on a level, zero where it is not lit: shape (3, cells)."""
+        variance = CELLS_ALIKE * np.einsum("...ii->i...", self.covariance).astype(np.float64)
+        return np.asarray(self._lit.ravel() / variance.reshape(3, -1))
+
+    def _levels(self, logs: Float32Array, weight: Float64Array, start: Float64Array) -> Float64Array:
+        """Return levels (3, 2) of cells' log intensity (h, w, 3) by one Gauss-Newton step from others.
+
+        A level is the logarithm of a channel's light where its reference has its mean darkness, and the offset over
+        that light.
+        """
+        light = np.maximum(1.0 + start[:, 1:] * self._contrast, LEAST_LIGHT)
+        left = logs.reshape(-1, 3).T - start[:, :1] - np.log(light)
+        answer, weighted = self._contrast / light, self._precision * weight.ravel()
+        sigma = np.array([self.gain_sigma, self.offset_sigma])
+        prior = 1.0 / (sigma**2 + np.square(start / OUTLYING))
+        one, once, twice = ((weighted * answer**power).sum(axis=1) for power in (0, 1, 2))
+        one, twice = one + prior[:, 0], twice + prior[:, 1]
+        level, slope = ((weighted * answer**power * left).sum(axis=1) for power in (0, 1))
+        level, slope = level - prior[:, 0] * start[:, 0], slope - prior[:, 1] * start[:, 1]
+        steps = np.stack([twice * level - once * slope, one * slope - once * level], axis=-1)
+        return start + steps / (one * twice - once**2)[:, None]
+
+    def _field(self, levels: Float64Array) -> Float32Array:
+        """Log intensity (h, w, 3) of untouched skin under levels (3, 2)."""
+        light = np.maximum(1.0 + levels[:, 1:] * self._contrast, LEAST_LIGHT)
+        return np.asarray((levels[:, :1] + np.log(light)).T.reshape(self.darkness.shape), np.float32)
+
+    def _light(self, levels: Float64Array, left: Float32Array, resting: MaskArray) -> FrameLight:
+        """Return the light of a frame with these levels (3, 2), as far as they exceed their uncertainty.
+
+        left : what the levels leave of the log intensity of cells, shape (h, w, 3); of its means over blocks of the
+            field, which err together, follows the uncertainty
+        resting : True for cells at rest, shape (h, w)
+        """
+        rest = resting.astype(np.float32)[..., None]
+        share, mean, dark = (_reduced(part, BLOCKS) for part in (rest, rest * left, rest * self.darkness))
+        shown = share > SHOWN
+        if np.count_nonzero(shown) < MIN_BLOCKS:
+            return FrameLight.unchanged()
+        means, darks = (part[shown] / share[shown][:, None] for part in (mean, dark))
+        contrast = darks.astype(np.float64) - darks.mean(axis=0)
+        variance = BLOCKS_ALIKE * means.var(axis=0).astype(np.float64)
+        common = COMMON_SIGMA / float(resting.mean())
+        gain = _exceeding(levels[:, 0], np.sqrt(variance / len(means) + common**2))
+        spread = np.maximum(np.square(contrast).sum(axis=0), 1e-12)
+        offset = _exceeding(levels[:, 1], np.sqrt(variance / spread + common**2))
+        light = np.exp(gain)
+        return FrameLight(light * np.maximum(1.0 - offset * self._mean_darkness, LEAST_LIGHT), light * offset)
 
 
 def _cells(shape: tuple[int, ...]) -> tuple[int, int]:
@@ -275,6 +348,12 @@ def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
 def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
     """Return `_distance` by the inverse of the covariance."""
     return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
+
+
+def _exceeding(values: Float64Array, sigma: Float64Array) -> Float64Array:
+    """Return values (3,), shrunk to zero where they are no larger than `DOUBTED` standard uncertainties."""
+    square = float(np.square(values / (DOUBTED * sigma)).mean())
+    return np.asarray(values * (1.0 - 1.0 / max(square, 1.0) ** 2))
 
 
 def _shrink(square: Float32Array, threshold: float) -> Float32Array:

@@ -14,6 +14,7 @@ from device.calibration.coverage import Coverage, measure_coverage
 from device.calibration.fit import InverseFit
 from device.calibration.limits import PASSED_RESTING
 from device.imaging.flat_field import NormalizedImage
+from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import SkinAtRest
 from host_sync.calibration.balls import PressFrame, UsedPress
 from host_sync.calibration.calibration_verdict import (
@@ -30,6 +31,10 @@ from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
 
 NOTED_NOISE: Final = 0.02
 """Relative noise of untouched skin from which a calibration states it."""
+
+NOTED_CHANGE: Final = 0.01
+NOTED_STRAY: Final = 0.005
+"""Change of a light, relative, and light of the surroundings, fraction of full scale, that a person should know of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +124,22 @@ def with_reference(assessment: Assessment, at_rest: SkinAtRest, reference: Norma
     )
     notes = (*assessment.notes, note) if at_rest.noise > NOTED_NOISE else assessment.notes
     return replace(assessment, checks=(*assessment.checks, check), notes=notes)
+
+
+def light_notes(lights: Sequence[FrameLight]) -> tuple[str, ...]:
+    """Return notes on the light of presses, which was removed."""
+    notes = []
+    if (change := max(light.change for light in lights)) > NOTED_CHANGE:
+        notes.append(
+            f"lights differed by up to {change:.1%} between the presses and the reference, which was removed: let them "
+            "warm up before you calibrate"
+        )
+    if (stray := max(light.stray for light in lights)) > NOTED_STRAY:
+        notes.append(
+            f"light of the surroundings differed by up to {stray:.1%} of full scale between the presses and the "
+            "reference, which was removed: shade the sensor while you calibrate"
+        )
+    return tuple(notes)
 
 
 def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: PixelPitch | None) -> tuple[str, ...]:

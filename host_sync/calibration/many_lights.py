@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -13,7 +12,7 @@ from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.calibration.calibrate import Calibration, calibrate, identified
 from host_sync.light.model import Position
 from host_sync.lights.light_groups import CHANNELS, Group, choose_groups, find_light_groups, in_group
 from host_sync.uncertainty.joined_error import JoinedMaps, joined_slope_error
@@ -71,7 +70,6 @@ def calibrate_lights(
     flat_field = _flat_field(groups, found, count)
     balls: list[tuple[Ball, ...]] = [press.balls for press in first.presses]
     lights = find_light_groups(groups, list(zip(frames, balls, strict=True)), flat_field, light_names)
-    digest = hashlib.sha256("".join(one.calibration_id for one in found).encode()).hexdigest()[:12]
     tell("measuring the slope error of all lights")
     images = [
         [flat_field_correct(in_group(frame, group), own.flat_field) for group, own in zip(groups, found, strict=True)]
@@ -79,7 +77,7 @@ def calibrate_lights(
     ]
     maps = JoinedMaps(tuple(own.inverse.map for own in found))
     error = joined_slope_error(first.slope_error, images, balls, maps)
-    return replace(first, calibration_id=digest, lights=lights, beside=tuple(found[1:]), slope_error=error)
+    return identified(replace(first, lights=lights, beside=tuple(found[1:]), slope_error=error))
 
 
 def _flat_field(groups: Sequence[Group], found: Sequence[Calibration], count: int) -> Float32Array:

@@ -20,7 +20,6 @@ from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.archive import Facts, read_archive, write_archive
 from host_sync.calibration_file.soundness import check_sound
-from host_sync.calibration_file.typed_members import READ_ERRORS, as_members, from_members
 from host_sync.calibration_report.report import (
     BALL_PICTURES,
     PAPER_PICTURES,
@@ -31,6 +30,7 @@ from host_sync.calibration_report.summary import calibration_lines
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.results.files import OVERVIEW_FILE
+from host_sync.results.typed_members import READ_ERRORS, as_members, from_members
 
 REPORT_MEMBERS: Final = "report/"
 REPORT_NAMES: Final = frozenset({REPORT_FILE, *BALL_PICTURES})

@@ -17,7 +17,6 @@ from device.balls.viewpoint import Viewpoint
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
-from host_sync.calibration.lamp_drift import PressLevels
 from host_sync.denoising.null_colour import NullColour
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
@@ -69,7 +68,6 @@ MAY_BE_EMPTY: Final = {"LightModel.sources", "LightModel.strengths"}
 LARGEST_SIDE: Final = 32_768
 LARGEST_GAIN: Final = 10.0
 LARGEST_PLACE: Final = 10.0
-LARGEST_LEVEL: Final = 10.0
 LARGEST_COEFFICIENT: Final = 1e6
 MIN_FOLDS: Final = 2
 MIN_HEIGHT_PX: Final = 1.0
@@ -98,7 +96,6 @@ def check_sound(calibration: Calibration, name: str) -> None:
         _check_errors(one.slope_error, one.slope_noise)
         _check_fitted_lights(one)
         _check_viewpoint(one.viewpoint)
-        _check_levels(one.press_levels)
         _check_null_colour(one.null_colour)
     _check_lights(calibration)
 
@@ -245,16 +242,6 @@ def _check_null_colour(null_colour: NullColour | None) -> None:
     """Refuse a null colour that counts every slope as zero, or beyond measure."""
     if null_colour is not None and not 0.0 < null_colour.limit < LARGEST_COEFFICIENT:
         raise Unsound(f"its null colour holds for slopes up to {null_colour.limit:g}, which no skin has")
-
-
-def _check_levels(levels: PressLevels | None) -> None:
-    """Refuse levels that are not of three channels, or beyond measure."""
-    if levels is None:
-        return
-    sigmas = [levels.sigma, levels.stray_sigma or 0.0]
-    largest = float(np.abs([*levels.mean, *sigmas]).max())
-    if len(levels.mean) != 3 or not largest < LARGEST_LEVEL or min(sigmas) < 0.0:
-        raise Unsound("levels of light that are not those of three lights")
 
 
 def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from device.imaging.frame_light import FrameLight
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.frame_checks.light_levels import AGREEING, LevelSight, SlopeResponse, pressed_levels, untouched_levels
 from host_sync.results.record import FrameCheck, not_checked
@@ -25,6 +26,29 @@ MAX_REACH: Final = 0.15
 SECOND_LARGEST: Final = 0.25
 """Where the largest patch of equal levels is outside, another one inside clears the frame from this fraction of it on:
 a flat object may cover more of the field than untouched skin does."""
+
+MAX_CHANGE: Final = 0.15
+MAX_STRAY: Final = 0.05
+"""Largest change of a light, relative, and largest light of the surroundings, fraction of full scale, that slopes are
+corrected for."""
+
+
+def is_light(light: FrameLight) -> bool:
+    """Return whether the gains and offsets of a frame may be those of its lights."""
+    return light.change <= MAX_CHANGE and light.stray <= MAX_STRAY
+
+
+def check_light(light: FrameLight) -> tuple[FrameCheck, ...]:
+    """Return the checks of the light of a frame whose untouched skin shows it."""
+    found = []
+    for name, value, limit, unit, what in (
+        ("lamp drift", light.change, MAX_CHANGE, "relative", "its lights differ from the calibration's by"),
+        ("stray light", light.stray, MAX_STRAY, "of full scale", "light of the surroundings is, of full scale,"),
+    ):
+        refused = value > limit
+        words = f"{what} {value:.0%} (at most {limit:.0%})" if refused else ""
+        found.append(FrameCheck(name, "refused" if refused else "passed", value, limit, unit, words))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,9 +11,8 @@ from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField, MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.calibration.lamp_drift import MAX_DRIFT, take_drift_out
-from host_sync.calibration.stray_light import MAX_STRAY, take_stray_light_out
 from host_sync.frame_checks.colour_check import check_frame
+from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.extrapolation import strange_blocks
@@ -21,7 +20,7 @@ from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.johnson2009.model import estimate_gradients
-from host_sync.kernels.parallel_rows import BackgroundCall
+from host_sync.kernels.parallel_rows import BackgroundCall, parallel_rows
 from host_sync.light.cell_correction import CellCorrection
 from host_sync.light.reading import correct_slopes
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
@@ -180,16 +179,11 @@ def _read_channels(
         intensity = flat_field_correct(frame, calibration.flat_field)
     check_exposure(intensity, calibration.flat_field, name)
     checks = calibration.frame_model.check(intensity, calibration.flat_field)
-    response = calibration.frame_model.levels.response
-    told_by = calibration.inverse.map, calibration.press_levels, response
-    stray = take_stray_light_out(intensity, calibration.flat_field, *told_by)
-    if stray:
-        checks = (*checks, FrameCheck("stray light", "passed", stray, MAX_STRAY, "of full scale"))
-    drift = take_drift_out(intensity, *told_by)
-    if drift:
-        checks = (*checks, FrameCheck("lamp drift", "passed", drift, MAX_DRIFT, "relative"))
     raw, shrinkage = intensity, calibration.shrinkage
     rest = None if calibration.skin_at_rest is None else calibration.skin_at_rest.evidence(raw)
+    if rest is not None and rest.has_rest:
+        checks = (*checks, *check_light(rest.light))
+        parallel_rows(rest.light.take_out, raw.shape, raw.values, calibration.flat_field)
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)
     warnings = refusals(checks)

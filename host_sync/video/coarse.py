@@ -11,12 +11,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.imaging.flat_field import DARK_FLOOR, LinearFrame, NormalizedImage
+from device.imaging.flat_field import LinearFrame, NormalizedImage
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.calibration.lamp_drift import take_drift_out
-from host_sync.calibration.stray_light import take_stray_light_out
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cell_correction import CellCorrection
@@ -53,48 +51,6 @@ def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float3
         viewpoint=None if calibration.viewpoint is None else calibration.viewpoint.enlarged(finer),
         light=calibration.light.for_shape(reference.shape),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameLight:
-    """Light of a stretch of frames over the calibration's: float32 arrays of shape (3,).
-
-    gain : of each channel
-    stray : light of the surroundings, fraction of full scale
-    """
-
-    gain: Float32Array
-    stray: Float32Array
-
-    @property
-    def is_calibrations(self) -> bool:
-        """True where nothing has changed since the calibration."""
-        return not self.stray.any() and bool((self.gain == 1.0).all())
-
-    @classmethod
-    def of(cls, image: NormalizedImage, calibration: Calibration) -> FrameLight:
-        """Return the light of a coarse image."""
-        models = calibration.inverse.map, calibration.press_levels, calibration.frame_model.levels.response
-        own = replace(image, values=image.values.copy())
-        stray = take_stray_light_out(own, calibration.flat_field, *models)
-        drift = take_drift_out(own, *models)
-        if not stray and not drift:
-            return cls(np.ones(3, np.float32), np.zeros(3, np.float32))
-        lit = image.valid & ~image.clipped
-        dark = 1.0 / np.maximum(calibration.flat_field[lit], DARK_FLOOR)
-        lines = [
-            np.linalg.lstsq(np.stack([image.values[lit, c], dark[:, c]], axis=-1), own.values[lit, c], rcond=None)[0]
-            for c in range(3)
-        ]
-        gain, offset = np.array(lines, np.float64).T
-        return cls(gain.astype(np.float32), (-offset / gain).astype(np.float32) * (stray > 0.0))
-
-    def take_out(self, image: NormalizedImage, flat_field: Float32Array) -> None:
-        """Write the intensity under the calibration's light over an image's own."""
-        if self.stray.any():
-            image.values[...] -= self.stray / np.maximum(flat_field, np.float32(DARK_FLOOR))
-        if (self.gain != 1.0).any():
-            image.values[...] *= self.gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)

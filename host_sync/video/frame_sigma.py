@@ -13,7 +13,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.integration.zero_level import Datum
-from host_sync.reconstruction.pipeline import known_scale_share, slope_error_of
+from host_sync.reconstruction.reading_uncertainty import known_scale_share, slope_error_of
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import height_uncertainty, nonintegrable_residual
 from host_sync.video.coarse import CoarseReading

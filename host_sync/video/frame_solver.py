@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, flat_field_correct
+from device.imaging.frame_light import FrameLight
 from device.imaging.frame_measures import shaded_fraction
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
 from hal.frame import RawFrame
@@ -20,6 +21,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
+from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
@@ -39,12 +41,10 @@ from host_sync.results.record import refusals
 from host_sync.video.coarse import (
     WIDEST_PX,
     CoarseReading,
-    FrameLight,
     at_size,
     read_coarse,
 )
 from host_sync.video.fine_pass import FineCorrection, block_moments, level
-from host_sync.video.frame_rest import FrameRest
 from host_sync.video.frame_sigma import FrameSigma
 
 CHECK_STRIDE_FACTOR: Final = 4
@@ -127,7 +127,7 @@ class FrameSolver:
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
         at_rest = calibration.skin_at_rest
-        self._rest = None if at_rest is None else FrameRest.like(at_rest)
+        self._rest = at_rest
         self._gain_sigma = 0.0 if at_rest is None else at_rest.gain_sigma
         self._apart = -(-self._coarse.flat_field.shape[1] // DATUM_PX)
         self._integrator = Integrator(self.shape)
@@ -175,7 +175,11 @@ class FrameSolver:
         intensity = self._read(frame)
         checks = self._calibration.frame_model.check(intensity, self._flat_field)
         raise_on_warnings(refusals(checks), frame.name, force=self.force)
-        return FrameLight.of(self._reduced(intensity)[0], self._coarse)
+        evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
+        if evidence is None or not evidence.has_rest:
+            return FrameLight.unchanged()
+        raise_on_warnings(refusals(check_light(evidence.light)), frame.name, force=self.force)
+        return evidence.light
 
     def solve(
         self, frame: StoredFrame, out: Float32Array, light: FrameLight | None = None, sigma: Float32Array | None = None
@@ -199,9 +203,9 @@ class FrameSolver:
         intensity = self._read(frame)
         check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
         image, squares = self._reduced(intensity)
-        light.take_out(image, self._coarse_rest)
+        light.take_out(image.values, self._coarse_rest)
         if self._cell > 1:
-            light.take_out(intensity, self._flat_field)
+            light.take_out(intensity.values, self._flat_field)
         raise_on_warnings(self._warnings(image), frame.name, force=self.force)
         evidence = None if self._rest is None else self._rest.evidence(image, squares)
         if self._cell == 1 and self._calibration.shrinkage is not None:
@@ -305,7 +309,7 @@ def _coarse_calibration(calibration: Calibration, cell: int) -> Calibration:
     rows, columns = (-(-side // cell) for side in calibration.flat_field.shape[:2])
     rest = in_planes(np.asarray(cv2.resize(calibration.flat_field, (columns, rows), interpolation=cv2.INTER_AREA)))
     reference = LinearFrame(rest, np.zeros((rows, columns), np.bool_))
-    return replace(at_size(calibration, reference, rest), shrinkage=None, null_colour=None)
+    return replace(at_size(calibration, reference, rest), denoising=None)
 
 
 def _shrunk_to(frame: RawFrame, shape: tuple[int, int]) -> LinearFrame:

@@ -19,13 +19,13 @@ from typing import Final, Self, TypeVar
 import numpy as np
 
 from device.errors import DeviceError
+from device.imaging.frame_light import FrameLight
 from device.surface.fields import Float32Array
 from hal.errors import HalError
 from host_sync.errors import HostError
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.text import printable
-from host_sync.video.coarse import FrameLight
 from host_sync.video.frame_solver import STRETCH, FrameSolver, FrameStatistics
 
 MAX_AT_ONCE: Final = 4

@@ -1,13 +1,11 @@
-"""Frames of untouched skin and a dome under lamps that drifted, and a map that reads them as they were drawn."""
+"""Frames of untouched skin and a dome under lamps that drifted, in the light of the surroundings."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from device.balls.sphere import Ball, gather_samples, sphere_slopes
-from device.calibration.fit import fit_inverse_map
+from device.balls.sphere import Ball, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.model import InverseMap
 
 SHAPE = (240, 320)
 ROW, COLUMN = (axis.astype(float) for axis in np.mgrid[: SHAPE[0], : SHAPE[1]])
@@ -16,33 +14,33 @@ ANSWER = np.array([[1.0, -0.5, -0.5], [0.0, 0.8, -0.8]])
 
 NOISE = 0.005
 DRIFT = np.array([-0.02, 0.0, 0.01])
+LIGHT = 0.15 + 0.6 * np.exp(-(((COLUMN[..., None] - np.array([0.0, 160.0, 320.0])) / 150.0) ** 2))
+"""Light of untouched skin, fraction of full scale."""
+
+BALLS = tuple(Ball(column, row, 30.0, 50.0) for row in (60.0, 180.0) for column in (60.0, 160.0, 260.0))
+NONE = np.zeros(3)
 
 
-def _press(ball: Ball, seed: int) -> NormalizedImage:
-    """What a ball shows, without drift."""
+def press(ball: Ball, drift: np.ndarray = NONE, seed: int = 0) -> NormalizedImage:
+    """Return what a ball shows under lamps that drifted."""
     inside = np.hypot(COLUMN - ball.column, ROW - ball.row) <= ball.contact_radius_px
     slopes = np.stack(sphere_slopes(ball, COLUMN.astype(np.float32), ROW.astype(np.float32)), axis=-1)
-    noise = NOISE * np.random.default_rng(seed).standard_normal((*SHAPE, 3))
-    values = np.exp(np.where(inside[..., None], slopes, 0.0) @ ANSWER + noise).astype(np.float32)
-    return NormalizedImage(values, np.ones(SHAPE, np.bool_), np.zeros(SHAPE, np.bool_))
+    return _lit(np.where(inside[..., None], slopes, 0.0), drift, NONE, seed)
 
 
-def _fitted() -> InverseMap:
-    balls = [Ball(column, row, 30.0, 50.0) for row in (60.0, 180.0) for column in (60.0, 160.0, 260.0)]
-    samples = gather_samples((_press(ball, 900 + seed), [ball]) for seed, ball in enumerate(balls))
-    return fit_inverse_map(samples, balls, SHAPE, max_samples=6_000).map
-
-
-MAP = _fitted()
-"""Fitted to balls whose channels answer as `ANSWER` has it."""
-
-
-def frame(drift: np.ndarray, seed: int = 0, *, dome: float = 1.0, clipped: bool = False) -> NormalizedImage:
-    """A dome of 40 px on untouched skin under lamps that drifted; without height where `dome` is 0."""
+def frame(
+    drift: np.ndarray = NONE, seed: int = 0, *, stray: np.ndarray = NONE, dome: float = 1.0, clipped: bool = False
+) -> NormalizedImage:
+    """Return a dome of 40 px on untouched skin; without height where `dome` is 0."""
     across, down = COLUMN - 160.0, ROW - 120.0
     fall = dome * np.exp(-(across**2 + down**2) / (2.0 * 20.0**2)) / 20.0
-    slopes = np.stack([-across * fall, -down * fall], axis=-1)
+    return _lit(np.stack([-across * fall, -down * fall], axis=-1), drift, stray, seed, clipped=clipped)
+
+
+def _lit(
+    slopes: np.ndarray, drift: np.ndarray, stray: np.ndarray, seed: int, *, clipped: bool = False
+) -> NormalizedImage:
     noise = NOISE * np.random.default_rng(seed).standard_normal((*SHAPE, 3))
-    values = np.exp(slopes @ ANSWER + drift + noise).astype(np.float32)
+    values = np.exp(slopes @ ANSWER + drift + noise) + stray / LIGHT
     everywhere = np.ones(SHAPE, np.bool_)
-    return NormalizedImage(values, everywhere, everywhere & clipped)
+    return NormalizedImage(values.astype(np.float32), everywhere, everywhere & clipped)

@@ -54,8 +54,8 @@ def test_gain_and_offset_of_a_frame_are_fitted(model: SkinAtRest) -> None:
     found = model.evidence(seen(seed=21, gain=0.99, offset=0.002))
     brightness = model.darkness.mean(axis=(0, 1))
     assert found.fraction > 0.9
-    assert found.offsets == pytest.approx(np.array([0.002, 0.0, 0.002]), abs=0.0015)
-    assert found.gains == pytest.approx(np.log(0.99 + 0.002 * brightness), abs=0.002)
+    assert found.light.offsets == pytest.approx(np.array([0.002, 0.0, 0.002]), abs=0.0015)
+    assert found.light.gains + found.light.offsets * brightness == pytest.approx(0.99 + 0.002 * brightness, abs=0.002)
 
 
 def test_a_ball_is_not_at_rest_nor_is_its_top(model: SkinAtRest) -> None:

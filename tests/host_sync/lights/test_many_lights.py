@@ -13,9 +13,9 @@ from device.surface.fields import GradientField
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
 from host_sync.calibration.many_lights import calibrate_lights
-from host_sync.calibration_file.typed_members import as_members, from_members
 from host_sync.lights.light_groups import choose_groups, in_group, joined
 from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.results.typed_members import as_members, from_members
 from tests.apparatus.light_ring import lit_by_ring
 
 SIX = 6

@@ -47,21 +47,20 @@ def drift_checks(found: Reconstruction) -> list[float | None]:
 
 def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) -> None:
     steady, drifted = scan(calibration, np.ones(3)), scan(calibration, DRIFT)
-    without = scan(replace(calibration, press_levels=None), DRIFT)
+    without = scan(replace(calibration, skin_at_rest=None), DRIFT)
     moved_um = np.abs(without.height.z_um - steady.height.z_um).mean()
     assert np.abs(drifted.height.z_um - steady.height.z_um).mean() < 0.15 * moved_um
-    assert drift_checks(drifted) == [pytest.approx(1.0 / 0.97 - 1.0, abs=2e-3)]
-    assert not drift_checks(steady)
+    assert drift_checks(drifted) == [pytest.approx(0.03, abs=2e-3)]
+    assert drift_checks(steady) == [pytest.approx(0.0, abs=2e-3)]
     assert not drift_checks(without)
 
 
 def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> None:
-    assert calibration.press_levels is not None
-    assert np.abs(calibration.press_levels.mean).max() < 1e-3
-    assert calibration.press_levels.sigma < 1e-3
-    largest = np.expm1(np.abs(np.log(PRESSES)).max())
+    assert calibration.skin_at_rest is not None
+    assert calibration.skin_at_rest.gain_sigma == pytest.approx(0.015, rel=0.2)
+    largest = np.abs(PRESSES - 1.0).max()
     (stated,) = (
-        re.search(r"up to ([\d.]+)%", note) for note in calibration.assessment.notes if "lamps differed" in note
+        re.search(r"up to ([\d.]+)%", note) for note in calibration.assessment.notes if "lights differed" in note
     )
     assert stated is not None
     assert float(stated[1]) == pytest.approx(100.0 * largest, abs=0.2)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from near_lamps import RADIUS_PX, SHAPE, press_px
 
 from device.balls.sphere import Ball, BallSamples
+from device.balls.viewpoint import Viewpoint
 from device.imaging.flat_field import LinearFrame, flat_field_correct
-from host_sync.calibration import calibrate as calibration_module
-from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.calibration.calibrate import Calibration, identified
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
 from host_sync.denoising.null_colour import learn_null_colour
@@ -54,13 +54,19 @@ def bumpy_samples(calibration: Calibration) -> BallSamples:
 
 def that_knows_noise(calibration: Calibration, noise: np.ndarray) -> Calibration:
     """The calibration, whose map was taught with even noise, as of frames with noise by channel."""
-    assert calibration.shrinkage is not None
+    assert calibration.denoising is not None
     root = 0.5 * noise / calibration.flat_field.mean(axis=(0, 1))
     known = FrameNoise(FINEST_VARIANCE * np.diag(root**2), np.array([1.0, 0.116, 0.0226]))
     null_colour = learn_null_colour(bumpy_samples(calibration), calibration.inverse.map, known)
     assert null_colour is not None
-    shrinkage = replace(calibration.shrinkage, noise=known, shrinkage=shrinkage_of(known, 1.0))
-    return replace(calibration, shrinkage=shrinkage, null_colour=null_colour)
+    shrinkage = replace(calibration.denoising.shrinkage, noise=known, shrinkage=shrinkage_of(known, 1.0))
+    return replace(calibration, denoising=replace(calibration.denoising, shrinkage=shrinkage, null_colour=null_colour))
+
+
+def without_null_colour(calibration: Calibration) -> Calibration:
+    """The calibration, none of whose colours is free of slopes."""
+    assert calibration.denoising is not None
+    return replace(calibration, denoising=replace(calibration.denoising, null_colour=None))
 
 
 def louder(found: Reconstruction, silent: Reconstruction) -> tuple[float, float]:
@@ -77,7 +83,7 @@ def louder(found: Reconstruction, silent: Reconstruction) -> tuple[float, float]
 def test_raw_slopes_are_quieter_with_the_null_colour(ring_calibration: Calibration, loud: int) -> None:
     noise = noise_of(loud)
     calibration = that_knows_noise(ring_calibration, noise)
-    without = replace(calibration, null_colour=None)
+    without = without_null_colour(calibration)
     silent = reconstruct(pressed(), without, "silent", detail="raw")
     better, plain = (reconstruct(noisy(pressed(), noise), one, "ball", detail="raw") for one in (calibration, without))
     for less, more in zip(louder(better, silent), louder(plain, silent), strict=True):
@@ -90,7 +96,7 @@ def test_shrunk_detail_does_not_change(ring_calibration: Calibration) -> None:
     noise = noise_of(0)
     calibration = that_knows_noise(ring_calibration, noise)
     frame = noisy(pressed(), noise)
-    found, without = (reconstruct(frame, one, "ball") for one in (calibration, replace(calibration, null_colour=None)))
+    found, without = (reconstruct(frame, one, "ball") for one in (calibration, without_null_colour(calibration)))
     for name in ("p", "q", "sigma_um", "samples_um"):
         np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
     np.testing.assert_array_equal(found.height.z_um, without.height.z_um)
@@ -99,17 +105,25 @@ def test_shrunk_detail_does_not_change(ring_calibration: Calibration) -> None:
     assert np.abs(found.other.z_um - without.other.z_um).max() > 0.1
 
 
-def test_the_id_of_a_calibration_changes_with_its_null_colour(
-    ring_calibration: Calibration, ring_presses: Sequence[PressFrame], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own = ring_calibration.null_colour
-    assert own is not None
-    ids = [ring_calibration.calibration_id]
-    channels, slopes = (np.float32(1.01) * part for part in (own.channels, own.slopes))
-    others = replace(own, channels=channels), replace(own, slopes=slopes), replace(own, limit=0.5 * own.limit)
-    for other in (None, *others):
-        monkeypatch.setattr(calibration_module, "learn_null_colour", lambda *_, other=other: other)
-        made = calibrate(ring_presses, lit_by_ring(np.zeros(SHAPE), 3, 99), ring_calibration.pitch_um)
-        assert made.null_colour is other
-        ids.append(made.calibration_id)
-    assert len(set(ids)) == len(ids)
+def test_the_id_of_a_calibration_follows_from_every_member(ring_calibration: Calibration) -> None:
+    assert identified(ring_calibration).calibration_id == ring_calibration.calibration_id
+    denoising, light = ring_calibration.denoising, ring_calibration.light
+    assert denoising is not None
+    assert denoising.null_colour is not None
+    limit = 0.5 * denoising.null_colour.limit
+    others: list[dict[str, Any]] = [
+        {"flat_field": np.float32(1.01) * ring_calibration.flat_field},
+        {"has_reference": False},
+        {"pitch_um": 1.01 * ring_calibration.pitch_um},
+        {"presses": ring_calibration.presses[1:]},
+        {"held_out_deg": {"direct": 0.1}},
+        {"light": replace(light, confirmed=0.5 * light.confirmed)},
+        {"elevation": msgspec.structs.replace(ring_calibration.elevation, apex_px=1.0)},
+        {"denoising": None},
+        {"denoising": replace(denoising, null_colour=None)},
+        {"denoising": replace(denoising, null_colour=replace(denoising.null_colour, limit=limit))},
+        {"viewpoint": Viewpoint(100.0, 80.0, 9000.0)},
+        {"skin_at_rest": None},
+    ]
+    ids = [identified(replace(ring_calibration, **other)).calibration_id for other in others]
+    assert len({ring_calibration.calibration_id, *ids}) == len(ids) + 1

@@ -1,0 +1,119 @@
+"""Presses as the models are fitted to them: balls located, without noise, their light against the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from device.balls.sphere import Ball, gather_samples
+from device.errors import CalibrationError
+from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.imaging.frame_light import FrameLight
+from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.skin_at_rest import SkinAtRest
+from device.surface.fields import Float32Array
+from host_sync.calibration.balls import PressFrame, UsedPress, check_distinct, check_sizes
+from host_sync.calibration.consistency import check_reference
+from host_sync.calibration.located_presses import flat_field_of, locate_all
+from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.denoising.bounded_shrinkage import DetailShrinkage, learn_shrinkage
+from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.frame_checks.level_check import is_light
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPresses:
+    """Presses of a calibration, and what they show before a slope is read.
+
+    frames : the presses as they were given
+    reference : frame of untouched skin; None without one
+    flat_field : float32 array of shape (H, W, 3), what frames are divided by
+    located : the presses with their balls, without noise
+    measured_pitch : as grids among them measure it; None without grids
+    stated_um : pixel pitch as stated
+    frame_model : what the frames have in common
+    at_rest : how the light of untouched skin differs from frame to frame; None without a reference
+    lights : of the presses
+    shrinkage : of the frames' noise; None where it cannot be told from detail
+    """
+
+    frames: Sequence[PressFrame]
+    reference: LinearFrame | None
+    flat_field: Float32Array
+    located: Sequence[UsedPress]
+    measured_pitch: PixelPitch | None
+    stated_um: float
+    frame_model: FrameModel
+    at_rest: SkinAtRest | None
+    lights: tuple[FrameLight, ...]
+    shrinkage: DetailShrinkage | None
+
+    @classmethod
+    def of(
+        cls,
+        presses: Sequence[PressFrame],
+        reference: LinearFrame | None,
+        stated_um: float,
+        others: Sequence[LinearFrame],
+        tell: Callable[[str], None],
+    ) -> PreparedPresses:
+        """Check and prepare presses; arguments and errors as for `calibrate`."""
+        if not presses:
+            raise CalibrationError("there is no calibration press: press a ball of known radius into the gel")
+        check_sizes(presses, reference)
+        check_distinct(presses)
+        if reference is not None:
+            check_reference(reference)
+        tell("flat-field correction")
+        flat_field = flat_field_of([*(press.frame for press in presses), *others], reference)
+        tell("finding balls")
+        located, pitch = locate_all(presses, flat_field, stated_um, reference)
+        frame_model = FrameModel.of(reference, flat_field, pressed(located))
+        tell("measuring the frames' noise")
+        at_rest = SkinAtRest.of(pressed(located), flat_field) if reference else None
+        lights = _lights(located, at_rest)
+        level = [flat_field_correct(reference, flat_field)] if reference else [press.intensity for press in located]
+        samples = gather_samples(pressed(located))
+        shrinkage = learn_shrinkage(pressed(located), samples, [image.values for image in level])
+        if shrinkage is not None:
+            located = [replace(press, intensity=shrinkage.shrunk(press.intensity)) for press in located]
+        return cls(
+            presses, reference, flat_field, located, pitch, stated_um, frame_model, at_rest, lights, shrinkage
+        )  # fmt: skip
+
+    @property
+    def pitch_um(self) -> float:
+        """Distance of neighbouring pixels on the skin, µm, measured where it was."""
+        return self.measured_pitch.pitch_um if self.measured_pitch else self.stated_um
+
+    @property
+    def illumination(self) -> IlluminationMap | None:
+        """Light of untouched skin over the field; None without a reference."""
+        return IlluminationMap.of(self.flat_field) if self.reference else None
+
+
+def pressed(presses: Sequence[UsedPress]) -> list[tuple[NormalizedImage, Sequence[Ball]]]:
+    """Return the intensity and the balls of each press."""
+    return [(press.intensity, press.balls) for press in presses]
+
+
+def in_reference_light(
+    presses: Sequence[UsedPress], lights: Sequence[FrameLight], flat_field: Float32Array
+) -> Sequence[UsedPress]:
+    """Return presses without the gains and offsets that they have."""
+    found = []
+    for press, light in zip(presses, lights, strict=True):
+        values = press.intensity.values.copy()
+        light.take_out(values, flat_field)
+        found.append(replace(press, intensity=replace(press.intensity, values=values)))
+    return found
+
+
+def _lights(presses: Sequence[UsedPress], at_rest: SkinAtRest | None) -> tuple[FrameLight, ...]:
+    """Return the light of each press; unchanged where none shows, or one that no light has."""
+    found = []
+    for press in presses:
+        evidence = None if at_rest is None else at_rest.evidence(press.intensity)
+        known = evidence is not None and evidence.has_rest and is_light(evidence.light)
+        found.append(evidence.light if evidence is not None and known else FrameLight.unchanged())
+    return tuple(found)

@@ -1,0 +1,109 @@
+"""Uncertainty of a frame's heights: of what its calibration does not know, of shadows, of noise, of its zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import msgspec
+import numpy as np
+
+from device.surface.fields import Float32Array, GradientField, HeightMap
+from host_sync.calibration.calibrate import Calibration, Method
+from host_sync.calibration.scale import HEIGHT_PER_PITCH
+from host_sync.integration.zero_level import Datum
+from host_sync.kernels.parallel_rows import BackgroundCall
+from host_sync.reconstruction.slope_reading import SlopeReading
+from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
+from host_sync.uncertainty.height_error import HeightUncertainty, height_draws, height_uncertainty, reduced_size
+from host_sync.uncertainty.slope_draws import SlopeDraws
+from host_sync.uncertainty.slope_error import SlopeError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeforeHeights:
+    """What a result needs beside its heights and does not take from them, so that both are made at once.
+
+    unsure : what the calibration does not know of slopes, on the reduced field (h, w)
+    shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
+        where nothing corrects slopes
+    draws : random numbers behind the samples of height errors
+    """
+
+    unsure: CalibrationUncertainty
+    shadow: tuple[Float32Array, Float32Array] | None
+    draws: SlopeDraws
+
+    @classmethod
+    def of(cls, reading: SlopeReading) -> BeforeHeights:
+        """That of a reading's result."""
+        first, shape = reading.first, reading.first.intensity.shape
+        size = reduced_size(shape)
+        unsure = _calibration_uncertainty(reading, size)
+        shadow = None if first.correction is None else first.correction.sigma(size)
+        draws = height_draws(slope_error_of(first.calibration, reading.method), shape, unsure, shadow)
+        return cls(unsure, shadow, draws)
+
+
+def uncertainty_of(
+    height: HeightMap,
+    gradients: GradientField,
+    contradiction: Float32Array,
+    reading: SlopeReading,
+    datum: Datum,
+    before_heights: BackgroundCall[BeforeHeights],
+) -> HeightUncertainty:
+    """What is not known of heights.
+
+    height : with shrunk detail, levelled to the datum
+    gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
+    contradiction : as `nonintegrable_residual` returns it for them
+    before_heights : of the same reading
+    """
+    before, calibration = before_heights.result(), reading.first.calibration
+    return height_uncertainty(
+        height,
+        gradients,
+        contradiction,
+        slope_error_of(calibration, reading.method),
+        datum,
+        known_scale_share(calibration),
+        calibration=before.unsure,
+        shadow=before.shadow,
+        draws=before.draws,
+    )
+
+
+def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:
+    """What the calibration does not know, on a field of `size` (w, h): of what corrects slopes, or of the map."""
+    first = reading.first
+    replicas = first.calibration.inverse.replicas if reading.method == "direct" else ()
+    correction = first.correction
+    if correction is None or correction.unsure is None:
+        return calibration_uncertainty(first.intensity, replicas, size)
+    of_correction = CalibrationUncertainty.of(correction.unsure(), size)
+    if correction.left_alone is None or not correction.left_alone.any():
+        return of_correction
+    share = np.asarray(cv2.resize(correction.left_alone, size, interpolation=cv2.INTER_LINEAR), np.float32)
+    return of_correction.mixed_with(calibration_uncertainty(first.intensity, replicas, size), share)
+
+
+def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
+    """The slope error of a method: the default's as measured, the paper's larger as its held-out balls say."""
+    held_out = calibration.held_out_deg
+    if method == "direct" or not held_out["paper"] > held_out["direct"]:
+        return calibration.slope_error
+    share = held_out["paper"] / held_out["direct"]
+    error = calibration.slope_error
+    return msgspec.structs.replace(
+        error,
+        pixel_deg=tuple(share * part for part in error.pixel_deg),
+        patch_deg=tuple(share * part for part in error.patch_deg),
+        ball_gains=tuple(tuple(share * gain for gain in ball) for ball in error.ball_gains),
+    )
+
+
+def known_scale_share(calibration: Calibration) -> float:
+    """Standard uncertainty of the height's scale, as a share, from what of it was measured."""
+    scale = calibration.assessment.scale
+    return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))
