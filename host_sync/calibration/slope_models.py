@@ -67,8 +67,8 @@ class SlopeModels:
         tell("fitting the position-aware inverse map")
         illumination = prepared.illumination
         begun, located, centres = fit_to_best_balls(prepared.frames, prepared.located, illumination)
-        located, begun = without_contradiction(located, begun, illumination)
         located, begun, removes_light = _in_best_light(prepared, located, begun)
+        located, begun = without_contradiction(located, begun, illumination)
         viewpoint = _viewpoint(prepared, pupil_height_mm)
         if viewpoint is not None:
             tell("fitting it again as the camera sees the balls")
@@ -121,7 +121,7 @@ def _in_best_light(
     if not any(light.change or light.stray for light in prepared.lights):
         return located, begun, True
     lit = in_reference_light(located, prepared.lights, prepared.flat_field)
-    again = fit_to(lit, prepared.illumination, begun)
+    again = fit_to(lit, prepared.illumination)
     before_deg, after_deg = begun.fit.held_out_deg, again.fit.held_out_deg
     if before_deg is None or after_deg is None or after_deg > before_deg:
         return located, begun, False
