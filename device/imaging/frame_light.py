@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
+import cv2
 import numpy as np
 
 from device.imaging.flat_field import DARK_FLOOR
-from device.surface.fields import Float32Array, Float64Array
+from device.surface.fields import Float32Array, Float64Array, MaskArray
+
+COMMON_SIGMA: Final = 1e-4
+"""Standard uncertainty of the levels of a frame all of whose skin is at rest. Where a part is, it is larger by one over
+that fraction: light from the object and skin that sinks towards rest change the levels."""
+
+BLOCKS: Final = (6, 8)
+BLOCKS_ALIKE: Final = 2.0
+MIN_BLOCKS: Final = 6
+SHOWN: Final = 0.25
+"""Rows and columns of blocks of the field, of which so many err together; levels are found where so many show skin at
+rest on at least this fraction of their cells."""
+
+DOUBTED: Final = 3.0
+"""Standard uncertainties up to which a level is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,3 +62,34 @@ class FrameLight:
         np.divide(self.offsets.astype(np.float32), dark, out=dark)
         values[rows] -= dark
         values[rows] *= (1.0 / self.gains).astype(np.float32)
+
+
+def certain_levels(
+    levels: Float64Array, left: Float32Array, resting: MaskArray, darkness: Float32Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return gains (logarithms) and offsets, shape (3,), zero where they do not exceed their uncertainty.
+
+    levels : gains and offsets as fitted, shape (3, 2)
+    left : what they leave of the log intensity of cells, shape (h, w, 3); its means over blocks of the field, which err
+        together, show the uncertainty
+    resting : True for cells at rest, shape (h, w)
+    darkness : one over the light of untouched skin, shape (h, w, 3)
+    """
+    rest = resting.astype(np.float32)[..., None]
+    share, mean, dark = (
+        cv2.resize(part, BLOCKS[::-1], interpolation=cv2.INTER_AREA) for part in (rest, rest * left, rest * darkness)
+    )
+    shown = share > SHOWN
+    if np.count_nonzero(shown) < MIN_BLOCKS:
+        return np.zeros(3), np.zeros(3)
+    means, darks = (part[shown].astype(np.float64) / share[shown][:, None] for part in (mean, dark))
+    variance, common = BLOCKS_ALIKE * means.var(axis=0), COMMON_SIGMA / float(resting.mean())
+    spread = np.maximum(np.square(darks - darks.mean(axis=0)).sum(axis=0), 1e-12)
+    gain = _exceeding(levels[:, 0], np.sqrt(variance / len(means) + common**2))
+    return gain, _exceeding(levels[:, 1], np.sqrt(variance / spread + common**2))
+
+
+def _exceeding(values: Float64Array, sigma: Float64Array) -> Float64Array:
+    """Return values (3,), shrunk to zero where they are no larger than `DOUBTED` standard uncertainties."""
+    square = float(np.square(values / (DOUBTED * sigma)).mean())
+    return np.asarray(values * (1.0 - 1.0 / max(square, 1.0) ** 2))

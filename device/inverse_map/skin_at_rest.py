@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
-from device.imaging.frame_light import FrameLight
+from device.imaging.frame_light import FrameLight, certain_levels
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 
 CELLS_ACROSS: Final = 64
@@ -71,20 +71,6 @@ POOLED_CELLS: Final = 2.0
 
 CAUCHY: Final = 2.0
 """Squared distance per channel at which the weight of a cell in the fit of gains and offsets has fallen to a half."""
-
-COMMON_SIGMA: Final = 1e-4
-"""Standard uncertainty of the levels of a frame all of whose skin is at rest. Where a part is, it is larger by one over
-that fraction: light from the object and skin that sinks towards rest change the levels."""
-
-BLOCKS: Final = (6, 8)
-BLOCKS_ALIKE: Final = 2.0
-MIN_BLOCKS: Final = 6
-SHOWN: Final = 0.25
-"""Rows and columns of blocks of the field, of which so many err together; levels are found where so many show skin at
-rest on at least this fraction of their cells."""
-
-DOUBTED: Final = 3.0
-"""Standard uncertainties up to which a level is none."""
 
 SHRINKAGE: Final = 2.5
 """Squared distance per channel up to which a slope shrinks to zero; noise has 1 on average."""
@@ -246,7 +232,7 @@ class SkinAtRest:
     @cached_property
     def _contrast(self) -> Float64Array:
         """Darkness of cells less its mean, shape (3, cells)."""
-        return (self.darkness - self._mean_darkness).reshape(-1, 3).T.astype(np.float64)
+        return np.asarray((self.darkness - self._mean_darkness).reshape(-1, 3).T, np.float64)
 
     @cached_property
     def _precision(self) -> Float64Array:
@@ -280,22 +266,9 @@ class SkinAtRest:
     def _light(self, levels: Float64Array, left: Float32Array, resting: MaskArray) -> FrameLight:
         """Return the light of a frame with these levels (3, 2), as far as they exceed their uncertainty.
 
-        left : what the levels leave of the log intensity of cells, shape (h, w, 3); of its means over blocks of the
-            field, which err together, follows the uncertainty
-        resting : True for cells at rest, shape (h, w)
+        left, resting : see `certain_levels`
         """
-        rest = resting.astype(np.float32)[..., None]
-        share, mean, dark = (_reduced(part, BLOCKS) for part in (rest, rest * left, rest * self.darkness))
-        shown = share > SHOWN
-        if np.count_nonzero(shown) < MIN_BLOCKS:
-            return FrameLight.unchanged()
-        means, darks = (part[shown] / share[shown][:, None] for part in (mean, dark))
-        contrast = darks.astype(np.float64) - darks.mean(axis=0)
-        variance = BLOCKS_ALIKE * means.var(axis=0).astype(np.float64)
-        common = COMMON_SIGMA / float(resting.mean())
-        gain = _exceeding(levels[:, 0], np.sqrt(variance / len(means) + common**2))
-        spread = np.maximum(np.square(contrast).sum(axis=0), 1e-12)
-        offset = _exceeding(levels[:, 1], np.sqrt(variance / spread + common**2))
+        gain, offset = certain_levels(levels, left, resting, self.darkness)
         light = np.exp(gain)
         return FrameLight(light * np.maximum(1.0 - offset * self._mean_darkness, LEAST_LIGHT), light * offset)
 
@@ -348,12 +321,6 @@ def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
 def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
     """Return `_distance` by the inverse of the covariance."""
     return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
-
-
-def _exceeding(values: Float64Array, sigma: Float64Array) -> Float64Array:
-    """Return values (3,), shrunk to zero where they are no larger than `DOUBTED` standard uncertainties."""
-    square = float(np.square(values / (DOUBTED * sigma)).mean())
-    return np.asarray(values * (1.0 - 1.0 / max(square, 1.0) ** 2))
 
 
 def _shrink(square: Float32Array, threshold: float) -> Float32Array:

@@ -16,7 +16,7 @@ from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.calibrate import Calibration
 from host_sync.kernels import parallel_rows as row_bands
-from host_sync.reconstruction import pipeline, slope_reading
+from host_sync.reconstruction import heights, reading_uncertainty, slope_reading
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
 
@@ -95,7 +95,7 @@ def test_the_light_model_corrects_both_kinds_of_detail_alike(ring_calibration: C
 
 @pytest.mark.parametrize(
     ("module", "name"),
-    [(pipeline, "height_draws"), (slope_reading, "check_frame"), (slope_reading, "strange_blocks")],
+    [(reading_uncertainty, "height_draws"), (slope_reading, "check_frame"), (slope_reading, "strange_blocks")],
 )
 def test_the_second_thread_does_what_needs_no_heights(
     ring_calibration: Calibration,
@@ -122,7 +122,7 @@ def test_the_second_thread_does_what_needs_no_heights(
 def test_strange_colours_are_refused_in_the_same_words_by_one_and_two_threads(
     ring_calibration: Calibration, set_threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "integrate", lambda *_: pytest.fail("its slopes were integrated"))
+    monkeypatch.setattr(heights, "integrate", lambda *_: pytest.fail("its slopes were integrated"))
     words: list[str] = []
     for count in THREADS:
         set_threads(count)
