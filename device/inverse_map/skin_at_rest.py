@@ -256,7 +256,7 @@ class SkinAtRest:
         level, slope = ((weighted * answer**power * left).sum(axis=1) for power in (0, 1))
         level, slope = level - prior[:, 0] * start[:, 0], slope - prior[:, 1] * start[:, 1]
         steps = np.stack([twice * level - once * slope, one * slope - once * level], axis=-1)
-        return start + steps / (one * twice - once**2)[:, None]
+        return np.asarray(start + steps / (one * twice - once**2)[:, None])
 
     def _field(self, levels: Float64Array) -> Float32Array:
         """Log intensity (h, w, 3) of untouched skin under levels (3, 2)."""
