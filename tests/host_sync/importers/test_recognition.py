@@ -114,6 +114,15 @@ def test_a_first_image_of_another_exposure_is_left_out(tmp_path: Path, capsys: p
     assert (reference, len(found)) == (None, 7)
 
 
+def test_a_set_that_cannot_be_read_is_not_left_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "ball-{}.png")
+    assert main(["import", str(tmp_path), *OPTIONS, "--reference", str(tmp_path / "absent.png")]) == 2
+    assert "absent.png: cannot be read" in capsys.readouterr().err
+    assert main(["import", str(tmp_path), *OPTIONS]) == 0
+    assert load_frame_set(tmp_path).reference is not None
+
+
 def test_numbered_images_without_balls_are_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number in range(6):
         put(tmp_path / f"{number:03d}.png", gain=1.0 - 0.01 * number)
