@@ -43,8 +43,8 @@ Point = tuple[float, float]
 class Roughness:
     """Mean and total height, µm: Sa and Sz of an area, Ra and Rz of a line; `cutoff_um` is None without a filter.
 
-    mean_sigma_um, total_sigma_um : standard uncertainties, from the scatter of a line's five sections and from what
-        height errors as large as those of untouched skin raise each number by; None where those were not measured
+    mean_sigma_um, total_sigma_um : standard uncertainties, from the scatter of a line's five sections and from height
+        errors as large as those of untouched skin; None where those were not measured
     """
 
     mean_um: float
@@ -196,7 +196,8 @@ def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None, f
 
 
 def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -> tuple[float | None, float | None]:
-    """Standard uncertainties of mean and total height: scatter of the sections, and what height errors add in squares.
+    """Return standard uncertainties of mean and total height: scatter of the sections, and the same number of height
+    errors alone, for errors of long waves may agree with the surface.
 
     means, spans : of each section, µm
     """
@@ -204,10 +205,8 @@ def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -
         return None, None
     found = []
     for sections, share in ((means, MEAN_OF_RMS), (spans, SPAN_OF_RMS)):
-        value = float(np.mean(sections))
         scatter = float(np.std(sections, ddof=1) / np.sqrt(len(sections))) if len(sections) > 1 else 0.0
-        raised = value - float(np.sqrt(max(value**2 - (share * flatness_um) ** 2, 0.0)))
-        found.append(float(np.hypot(scatter, raised)))
+        found.append(float(np.hypot(scatter, share * flatness_um)))
     return found[0], found[1]
 
 

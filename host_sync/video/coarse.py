@@ -18,6 +18,7 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cell_correction import CellCorrection
+from host_sync.light.fit import FittedLight
 from host_sync.light.reading import correct_slopes
 from host_sync.reconstruction.perspective import seen_slopes
 from host_sync.reconstruction.rest_prior import RestPrior
@@ -51,6 +52,11 @@ def at_size(calibration: Calibration, reference: LinearFrame, flat_field: Float3
         viewpoint=None if calibration.viewpoint is None else calibration.viewpoint.enlarged(finer),
         light=calibration.light.for_shape(reference.shape),
     )
+
+
+def corrects_coarsely(columns: int, light: FittedLight, method: Method) -> bool:
+    """Return whether sources correct slopes of frames so wide on fewer cells than those of a single frame."""
+    return columns > WIDEST_PX and method == "direct" and light.has_sources and light.confirmed > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

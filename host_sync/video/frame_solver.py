@@ -42,6 +42,7 @@ from host_sync.video.coarse import (
     WIDEST_PX,
     CoarseReading,
     at_size,
+    corrects_coarsely,
     read_coarse,
 )
 from host_sync.video.fine_pass import FineCorrection, block_moments, level
@@ -157,6 +158,11 @@ class FrameSolver:
             weighted=weighted,
             force=force,
         )
+
+    @property
+    def is_coarse(self) -> bool:
+        """True where sources correct slopes on fewer cells than in a frame that is reconstructed alone."""
+        return corrects_coarsely(self.shape[1], self._calibration.light, self.method)
 
     def clone(self) -> FrameSolver:
         """Return a solver of the same frames with its own working arrays, for another thread."""

@@ -26,6 +26,7 @@ from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
 from host_sync.results.record import ResultRecord, SequenceFrame, SequenceRecord, encode_record
+from host_sync.video.coarse import CELLS_ACROSS
 from host_sync.video.contact import ContactRow, SlipTracker, draw_contact_chart, write_contact_table
 from host_sync.video.frame_solver import FrameSolver, FrameStatistics
 from host_sync.video.height_stack import HeightStack, open_heights
@@ -90,16 +91,24 @@ class SequenceOptions:
     calibration: str = ""
 
 
+COARSE_LIGHT: Final = (
+    f"light was corrected on {CELLS_ACROSS} cells across the field: heights beside edges may differ from those of the "
+    "frame reconstructed alone by several times their ±"
+)
+
+
 def sequence_doubts(calibration: Calibration, solver: FrameSolver) -> tuple[Doubt, ...]:
     """The doubts of every frame."""
     rows, columns = solver.shape
     record = ResultRecord(
         name="", rows=rows, columns=columns, pixel_pitch_um=calibration.pitch_um, **calibration_facts(calibration)
     )
-    found = record_doubts(record)
-    if not solver.force:
-        return found
-    return (*found, Doubt("frame unlike calibration", "frames that do not fit the calibration were solved too"))
+    found = list(record_doubts(record))
+    if solver.is_coarse:
+        found.append(Doubt("reconstruction", COARSE_LIGHT))
+    if solver.force:
+        found.append(Doubt("frame unlike calibration", "frames that do not fit the calibration were solved too"))
+    return tuple(found)
 
 
 def reconstruct_sequence(

@@ -101,6 +101,15 @@ def test_roughness_states_its_uncertainty() -> None:
     assert re.search(r"Ra \d\.\d\d ± \d\.\d\d Rz \d\.\d ± \d\.\d µm \(cut-off 0.8 mm\)", words)
 
 
+def test_a_large_height_is_no_surer_than_the_heights_of_untouched_skin() -> None:
+    steps = np.where(np.arange(96) % 32 < 16, 0.0, 240.0) * np.ones((64, 1))
+    found = areal_roughness(steps.astype(np.float32), 0.5)
+    assert found.mean_sigma_um is not None
+    assert found.total_sigma_um is not None
+    assert found.mean_sigma_um >= 0.3
+    assert found.total_sigma_um >= 0.7
+
+
 def test_a_slope_is_measured_with_its_uncertainty(height: HeightMap) -> None:
     row, column = np.mgrid[:60, :80].astype(np.float32)
     rng = np.random.default_rng(1)

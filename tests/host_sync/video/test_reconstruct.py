@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,6 +28,7 @@ from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
+from host_sync.video.coarse import WIDEST_PX, corrects_coarsely
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.height_stack import HeightStack, open_heights
 from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
@@ -255,3 +257,11 @@ def test_a_stack_that_ends_early_says_how_many_pages_it_has(tmp_path: Path, page
     with tifffile.TiffFile(path) as tiff:
         assert len(tiff.pages) == tiff.imagej_metadata["frames"] == pages
     assert open_heights(path)[:, 3, 4].tolist() == list(range(pages))
+
+
+@pytest.mark.parametrize(("columns", "coarse"), [(WIDEST_PX, False), (WIDEST_PX + 1, True)])
+def test_light_that_is_corrected_on_fewer_cells_makes_frames_doubtful(columns: int, coarse: bool) -> None:
+    known = calibration().light
+    assert corrects_coarsely(columns, known, "direct") == coarse
+    assert not corrects_coarsely(columns, known, "paper")
+    assert not corrects_coarsely(columns, replace(known, confirmed=0.0), "direct")
