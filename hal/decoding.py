@@ -8,7 +8,7 @@ from __future__ import annotations
 import atexit
 import gc
 import re
-from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections.abc import Callable
 from typing import Final, TypeVar
 
@@ -76,6 +76,8 @@ def _decoded(decode: Callable[[], T], text: bytes, form: str) -> T:
 
 def _reason(data: bytes, error: Exception, form: str) -> str:
     fewer, more = sorted((data[::2].count(0), data[1::2].count(0)))
+    if data.startswith((BOM_UTF32_LE, BOM_UTF32_BE)):
+        return "it is text in UTF-32: save it as UTF-8"
     if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) or (not fewer and 4 * more > len(data)):
         return "it is text in UTF-16: save it as UTF-8"
     try:

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import dropwhile
 from pathlib import Path
@@ -23,7 +23,7 @@ def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) 
     """Rows of a table with a line of names; empty texts where a row is short, and no row that is blank.
 
     Commas, semicolons or tabs separate columns, as the line of names shows, or what a line "sep=|" before it states;
-    text is UTF-8, UTF-16 or Windows-1252.
+    text is UTF-8, UTF-16, UTF-32 or Windows-1252.
 
     columns : names of columns that the table must have; in the table, letters of any case spell them
 
@@ -52,7 +52,7 @@ def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) 
             )
         if twice := [name for name in columns if rows.fieldnames.count(name) > 1]:
             raise error(f"{path}: has two columns {', '.join(twice)}: leave the right one")
-        cells = [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows)]
+        cells = [{name: cell.strip() for name, cell in row.items()} for row in _whole(rows, lines)]
         return [row for row in cells if any(row.values())]
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror}): name a CSV file") from problem
@@ -64,9 +64,16 @@ def _is_blank(line: str) -> bool:
     return not line.strip(',;\t" ')
 
 
-def _whole(rows: csv.DictReader[str]) -> Iterator[dict[str, str]]:
-    """The rows, none of which holds more than names; a decimal comma would else cut a number where commas separate."""
+def _whole(rows: csv.DictReader[str], lines: Sequence[str]) -> Iterator[dict[str, str]]:
+    """The rows, none of which holds more than names; a decimal comma would else cut a number where commas separate.
+
+    lines : of the table; a quotation mark that is left open reaches to the last one
+    """
+    before = rows.line_num
     for row in rows:
+        if rows.line_num == len(lines) and "".join(lines[before:]).count('"') % 2:
+            raise csv.Error(f"a quotation mark in line {before + 1} is not closed")
+        before = rows.line_num
         if any(row.pop("more", ())):
             raise csv.Error(f"line {rows.line_num} has more cells than the line of names")
         yield row
@@ -101,6 +108,8 @@ def _cell(value: object, point: str) -> str:
 
 
 def _decoded(data: bytes) -> str:
+    if data.startswith((BOM_UTF32_LE, BOM_UTF32_BE)):  # of which the first begins as UTF-16 does
+        return data.decode("utf-32")
     if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
         return data.decode("utf-16")
     try:

@@ -84,6 +84,8 @@ def import_py3dcal(source: Path, said: Said) -> Draft:
 def _draft(
     source: Path, said: Said, presses: list[DraftPress], missing: list[str], rest: Path, pitch_um: float | None
 ) -> Draft:
+    if not presses and not missing:
+        raise FrameSetError(f"{source}: its table lists no press: fill it in, or name the folder of the images")
     if not presses:
         raise FrameSetError(f"{source}: none of the listed images is there: fetch the folder whole")
     reference = said.reference or (rest if rest.is_file() else None)

@@ -44,6 +44,8 @@ WRITTEN_BY: Final[dict[Kind, str]] = {
     "images": "a folder of images",
 }
 
+OTHER_IMAGES: Final = (".bmp", ".webp", ".gif", ".heic", ".jp2", ".ppm", ".jls")
+
 
 def recognize(source: Path) -> Kind:
     """The kind of a folder, by the files that it holds.
@@ -65,6 +67,8 @@ def recognize(source: Path) -> Kind:
         return "fots"
     if any(one.suffix.lower() in (*SUFFIXES, *MOVIES) for one in source.iterdir()):
         return "images"
+    if any(one.suffix.lower() in OTHER_IMAGES for one in source.iterdir()):
+        raise FrameSetError(f"{source}: holds images of a kind that is not read: save them as PNG, TIFF or JPEG")
     inner = next((one for one in sorted(source.iterdir()) if one.is_dir() and _is_known(one)), None)
     hint = f"; {inner} is one" if inner else ""
     raise FrameSetError(

@@ -58,6 +58,14 @@ def _is_at_rest(path: Path) -> bool:
     return path.stem in AT_REST and path.suffix.lower() in SUFFIXES
 
 
+def _is_text(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(64).isascii()
+    except OSError:
+        return False
+
+
 def _pack(path: Path) -> tuple[list[str], list[tuple[float, float]], list[float]]:
     """Names of the images, and the centres (column, row) and radii of their contacts, pixels."""
     if not path.is_file():
@@ -68,6 +76,8 @@ def _pack(path: Path) -> tuple[list[str], list[tuple[float, float]], list[float]
             centres = [(float(column), float(row)) for column, row in pack["touch_center"]]
             radii = [float(radius) for radius in pack["touch_radius"]]
     except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
+        if _is_text(path):
+            raise FrameSetError(f"{path}: holds text, such as a pointer of Git LFS: fetch the file itself") from error
         raise FrameSetError(f"{path}: is no data pack of Taxim: annotate the images again") from error
     numbers = np.array([*radii, *(value for centre in centres for value in centre)])
     if not names or not len(names) == len(centres) == len(radii) or not np.isfinite(numbers).all():

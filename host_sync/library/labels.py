@@ -59,7 +59,7 @@ def read_labels(root: Path) -> Labels:
         data = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
         return decode_json(data, Labels)
     except OSError as error:
-        raise LibraryError(f"{path}: cannot be read ({error.strerror}): move it away") from error
+        raise LibraryError(f"{path}: cannot be read ({error.strerror}): allow that to you, or move it away") from error
     except msgspec.DecodeError as error:
         raise LibraryError(f"{path}: is damaged ({error}): mend it, or move it away") from error
 

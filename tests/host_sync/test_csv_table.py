@@ -29,6 +29,7 @@ def test_what_is_written_is_read(semicolon: bool, tmp_path: Path) -> None:
         "\ufeffpart; operator; value\nA; Ada; 1,5\n".encode(),
         "part\toperator\tvalue\nA\tAda\t1,5\n".encode("utf-16"),
         b'part,operator,value\nA,Ada,"1,5"\n',
+        "part\toperator\tvalue\nA\tAda\t1,5\n".encode("utf-32"),
         "part;operator;value;µ\nA;Ada;1.5;\n".encode("cp1252"),
         b"sep=|\r\npart|operator|value\r\nA|Ada|1,5\r\n",
         b'"sep=;"\rpart;operator;value\rA;Ada;1,5\r',
@@ -39,6 +40,15 @@ def test_tables_of_other_languages_are_read(data: bytes, tmp_path: Path) -> None
     path = tmp_path / "table.csv"
     path.write_bytes(data)
     assert numbers(read_rows(path, "value"), "table") == [("A", "Ada", 1.5)]
+
+
+def test_a_quotation_mark_that_is_left_open_is_named_and_a_note_over_two_lines_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text('part,operator,value\nA,"Ada,1.5\nB,Bo,2.5\n')
+    with pytest.raises(MeasurementError, match="a quotation mark in line 2 is not closed"):
+        read_table(path, MeasurementError)
+    path.write_text('part,value,note\nA,1.5,"two\nlines"\n')
+    assert [row["value"] for row in read_table(path, MeasurementError)] == ["1.5"]
 
 
 def test_a_number_that_a_comma_cuts_is_refused(tmp_path: Path) -> None:

@@ -315,6 +315,26 @@ def test_a_folder_of_nothing_known_names_the_one_inside(tmp_path: Path) -> None:
         recognize(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("frame_0.bmp", b"BM", "images of a kind that is not read: save them as PNG"),
+        (
+            "dataPack.npz",
+            b"version https://git-lfs/v1\n",
+            "a pointer of Git LFS: fetch the file itself",
+        ),
+        ("catalog.csv", b"experiment_reldir,diameter(mm)\n", "its table lists no press: fill it in"),
+    ],
+)
+def test_a_folder_that_leads_nowhere_is_named_as_it_is(
+    name: str, content: bytes, sentence: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FrameSetError, match=sentence):
+        read_folder(tmp_path, recognize(tmp_path), Said(pixel_pitch_um=25.0))
+
+
 def test_two_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, tmp_path) == 2
     assert "name the one folder" in capsys.readouterr().err
