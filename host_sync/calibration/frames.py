@@ -9,7 +9,7 @@ from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
 from device.imaging.printed_marks import MarkPattern
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration
+from host_sync.calibration.calibrate import Calibration, identified
 from host_sync.calibration.calibration_verdict import DIAMETER, DIAMETER_QUESTION, PIXEL_SHAPE
 from host_sync.calibration.many_lights import calibrate_lights
 from host_sync.calibration.scale import with_stated_pitch
@@ -76,7 +76,11 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         assessment = replace(assessment, notes=(*assessment.notes, frames.marks.note))
     if frames.states_pixel_shape:
         left = tuple(check for check in assessment.checks if check.name != PIXEL_SHAPE)
-        assessment = replace(assessment, checks=left)
+        shape, notes = assessment.pixel_shape, assessment.notes
+        if shape is not None:
+            asked = shape.contradiction(calibration.pitch_um)
+            notes = tuple(shape.against_stated if note == asked else note for note in notes)
+        assessment = replace(assessment, checks=left, notes=notes)
     if frames.states_diameters:
         left = tuple(check for check in assessment.checks if check.name != DIAMETER)
         notes = tuple(note for note in assessment.notes if DIAMETER_QUESTION not in note)
@@ -84,4 +88,4 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
     if frames.pitch_tolerance is not None:
         scale = with_stated_pitch(assessment.scale, calibration.pitch_um, frames.pitch_tolerance)
         assessment = replace(assessment, scale=scale)
-    return replace(calibration, assessment=assessment)
+    return identified(replace(calibration, assessment=assessment))

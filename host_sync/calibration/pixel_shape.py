@@ -74,6 +74,15 @@ class PixelShape:
         """The distance that contradicts nothing."""
         return max(COVERAGE * self.sigma, MAX_OFF)
 
+    @property
+    def against_stated(self) -> str:
+        """The sentence on pixels whose shape was stated and seems another."""
+        return (
+            f"by the skin around {self.balls} balls the height of pixels over their width is {self.ratio:.3f} ± "
+            f"{self.sigma:.3f} of the stated two pitches: shadows or the lens may cause that; else heights are wrong "
+            "by as much"
+        )
+
     def contradiction(self, pitch_um: float) -> str:
         """The sentence on how pixels differ from the stated ones or may differ; empty where they agree."""
         if self.off <= min(self.sigma, MAX_OFF):

@@ -115,13 +115,17 @@ def test_two_stated_pitches_confirm_the_shape(stated: bool, monkeypatch: pytest.
     @dataclass(frozen=True)
     class Made:
         assessment: Assessment
+        pitch_um: float = 20.0
 
     failed = (Check(PIXEL_SHAPE, 0.25, 0.05, "at most"), Check("balls used", 5.0, 4.0, "at least"))
     scale = ScaleUncertainty(None, None, None, None, ())
-    made = Made(Assessment(None, scale, None, failed, ("a note",)))  # type: ignore[arg-type]
+    shape = PixelShape(1.2, 0.02, 9)
+    notes = ("a note", shape.contradiction(20.0))
+    made = Made(Assessment(None, scale, None, failed, notes, shape))  # type: ignore[arg-type]
     monkeypatch.setattr("host_sync.calibration.frames.calibrate_lights", lambda *_, **__: made)
+    monkeypatch.setattr("host_sync.calibration.frames.identified", lambda calibration: calibration)
     found = calibrate_frames(CalibrationFrames((), None, 20.0, states_pixel_shape=stated)).assessment
-    assert (found.passed, found.notes) == (stated, ("a note",))
+    assert (found.passed, found.notes) == (stated, ("a note", shape.against_stated) if stated else notes)
 
 
 @pytest.mark.parametrize(("stated", "asks"), [(RADIUS_PX, False), (2.0 * RADIUS_PX, True)])
