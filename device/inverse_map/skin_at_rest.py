@@ -111,10 +111,6 @@ class RestEvidence:
         """True where enough of the field is at rest to give it a zero."""
         return bool((self.kept < RESTING).mean() >= MIN_RESTING)
 
-    def kept_at(self, shape: tuple[int, int]) -> Float32Array:
-        """`kept` at every pixel of an image of `shape` (H, W)."""
-        return np.asarray(cv2.resize(self.kept, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
 
 @dataclass(frozen=True, eq=False)
 class SkinAtRest:

@@ -25,6 +25,10 @@ ENOUGH_FRAMES = 4
 SURROUNDINGS = 5.0
 """Standard deviation, in blocks, of the surroundings that local changes are seen against."""
 
+BRIGHT_PERCENTILE = 95.0
+DARK = 0.1
+"""Blocks darker than this fraction of the light at this percentile do not show skin."""
+
 OBJECT_PERCENTILE = 99.0
 OBJECT_CHANGE = 0.2
 OBJECT_STANDS_OUT = 6.0
@@ -83,15 +87,23 @@ def _local(blocks: Float64Array) -> Float64Array:
     return blocks - np.asarray(around).reshape(blocks.shape)
 
 
-def check_agreement(names: Sequence[str], images: Sequence[NormalizedImage], reference: bool) -> None:
+def check_agreement(
+    names: Sequence[str], images: Sequence[NormalizedImage], flat_field: Float32Array, reference: bool
+) -> None:
     """Refuse presses (and, when there is one, the reference they were divided by) that do not belong together.
+
+    Dark surroundings of the skin count for nothing: a level of 8 bits changes them by a third.
+
+    flat_field : what the images were divided by, shape (H, W, C)
 
     Raises
     ------
     CalibrationMismatch
         Names the frames that differ and by how much.
     """
-    apart = check_consistency([_blocks(image) for image in images], reference)
+    light = _log_blocks(flat_field)
+    lit = (light > np.percentile(light, BRIGHT_PERCENTILE, axis=(0, 1)) + np.log(DARK)).all(axis=-1)
+    apart = check_consistency([_blocks(image)[lit][None] for image in images], reference)
     if len(apart) < 2:
         return
     *others, gap = _steps_between_nearest(apart)

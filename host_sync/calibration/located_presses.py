@@ -69,7 +69,9 @@ def locate_all(
     if not any(used.balls for used in labelled):
         # Frames of something else agree in nothing, and that is not the reason.
         check_count(labelled, stated_um, presses[0].radius_px)
-    check_agreement([p.label for p in presses], [used.intensity for used in labelled], reference is not None)
+    check_agreement(
+        [p.label for p in presses], [used.intensity for used in labelled], flat_field, reference is not None
+    )
     if reference is not None:
         check_untouched(reference, [press.frame for press in presses])
     located, pitch = measure_pitch(presses, labelled, stated_um)

@@ -5,14 +5,11 @@ A single pixel's noise passes through a curved map and adds to its mean slope; o
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, GradientField
-from host_sync.gradients.inverse_map_kernel import evaluate
+from device.surface.fields import GradientField
 from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_cells
 
 
@@ -28,12 +25,3 @@ def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> G
     slopes = np.where(valid[..., None], inverse_map.on_grid(means, column, row), np.float32(0.0))
     p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
     return GradientField(p, q, valid, valid.astype(np.float32))
-
-
-def slopes_of_means(values: Float32Array, inverse_map: InverseMap) -> tuple[Float32Array, Float32Array]:
-    """Slopes p and q (h, w) that a map reads of means (h, w, 3) over cells that cover its field."""
-    size = values.shape[0], values.shape[1]
-    everywhere = np.ones(size, np.bool_)
-    image = NormalizedImage(np.ascontiguousarray(values, np.float32), everywhere, ~everywhere)
-    read = evaluate(replace(inverse_map.quiet, shape=size), image)
-    return read.p, read.q

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
-from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.datum import SurfaceCells, height_of_rest_um, is_relief, skin_at_rest
 from host_sync.kernels.jit import njit
 
@@ -124,16 +123,6 @@ class Datum:
             return self
         left_um = height_left_um(height, gradients, self.skin, self.zero_um)
         return replace(self, zero_um=self.zero_um - left_um, sinking_um=left_um)
-
-
-def elevation_over_datum_px(gradients: GradientField, step_px: float) -> Float32Array:
-    """Elevation above the datum of slopes at points `step_px` pixels apart, pixels: float32 array of shape (h, w).
-
-    The slopes of invalid points count as they are: set them to zero for level skin.
-    """
-    # In pixels instead of µm: zero as a scan's height map has it.
-    height = HeightMap(integrate_dct(gradients.p, gradients.q, step_px), step_px)
-    return find_datum(height, gradients).level(height).z_um
 
 
 def find_datum(

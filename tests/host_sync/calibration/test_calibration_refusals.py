@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -14,7 +15,14 @@ from device.balls.detector import BallSearch, find_balls
 from device.balls.sphere import gather_samples
 from device.calibration.fit import CORE_SHARE
 from device.errors import CalibrationError, CalibrationMismatch, FrameError
-from device.imaging.flat_field import SATURATED, LinearFrame, demosaic, flat_field_correct, make_flat_field
+from device.imaging.flat_field import (
+    SATURATED,
+    LinearFrame,
+    NormalizedImage,
+    demosaic,
+    flat_field_correct,
+    make_flat_field,
+)
 from device.inverse_map.illumination import IlluminationMap
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
@@ -26,6 +34,7 @@ from hal.simulator.surfaces import SphereGrid
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
+from host_sync.calibration.consistency import check_agreement
 from host_sync.calibration.grid_press import detect_grid
 from host_sync.calibration.radii import contradicts, left_out, radius_shares, radius_spread
 
@@ -284,3 +293,15 @@ def test_a_ball_off_the_grid_is_rejected_and_a_missed_one_found(
         reason for reason in (ball.reason for ball in grid.search.rejected) if reason.startswith("off the grid by 1")
     ]
     assert len(grid.search.rejected) == 1
+
+
+@pytest.mark.parametrize(("skin", "refused"), [(1.02, False), (1.4, True)])
+def test_dark_surroundings_of_the_skin_do_not_refuse_its_reference(skin: float, refused: bool) -> None:
+    surroundings = np.broadcast_to((np.arange(96) < 60)[:, None], (96, 128))
+    flat_field = np.where(surroundings, 0.004, 0.3).astype(np.float32)[..., None].repeat(3, axis=-1)
+    values = np.where(surroundings, 1.4, skin).astype(np.float32)[..., None].repeat(3, axis=-1)
+    everywhere = np.ones((96, 128), np.bool_)
+    presses = [NormalizedImage(values * np.float32(1.0 + 0.002 * n), everywhere, ~everywhere) for n in range(6)]
+    names = [f"press-{number}" for number in range(6)]
+    with pytest.raises(CalibrationMismatch, match="is not of these presses") if refused else nullcontext():
+        check_agreement(names, presses, flat_field, reference=True)

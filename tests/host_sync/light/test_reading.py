@@ -11,6 +11,7 @@ from near_lamps import RADIUS_PX, SHAPE, NearLamps
 from scipy.ndimage import gaussian_filter
 
 from device.imaging.flat_field import NormalizedImage
+from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
@@ -79,7 +80,7 @@ def height_px(gradients: GradientField) -> float:
 def evidence(moved: np.ndarray) -> RestEvidence:
     """Return evidence of rest where nothing moved, bool array of shape (H, W)."""
     cells = moved.reshape(SHAPE[0] // 8, 8, SHAPE[1] // 8, 8).any(axis=(1, 3))
-    return RestEvidence(cells.astype(np.float32), np.ones_like(cells), np.zeros(3), np.zeros(3), GAIN_SIGMA)
+    return RestEvidence(cells.astype(np.float32), np.ones_like(cells), FrameLight.unchanged(), GAIN_SIGMA)
 
 
 def corrected(
