@@ -58,9 +58,11 @@ def test_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lock_path(service) == service / "instrument.lock"
 
 
-def test_a_session_without_a_runtime_folder_is_locked_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_without_a_runtime_folder_is_locked_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    path = lock_path(Path("/nonexistent"))
+    path = lock_path(tmp_path / "none")
     assert path.name == f"retroscan-{os.getuid()}.lock"
     assert path.parent.is_dir()
 
