@@ -41,17 +41,17 @@ worse on every set of `docs/paper.md`, real or simulated."""
 
 
 def is_open(direct_deg: float) -> bool:
-    """Whether the paper's method may be the better one, by the default's held-out error (degrees)."""
+    """Return True where the paper's method may be the better one, by the default's held-out error (degrees)."""
     return direct_deg >= OPEN_CHOICE_DEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Denoising:
-    """How noise is removed from frames.
+    """Models by which noise is removed from frames.
 
     shrinkage : of pixels
     slope_noise : what is left of noise in slopes
-    null_colour : what removes part of it from slopes of raw frames; None where it cannot be told from detail
+    null_colour : change of colour that carries noise alone in raw frames; None where no colour does
     """
 
     shrinkage: DetailShrinkage
@@ -75,7 +75,7 @@ class Calibration:
     frame_model : what its frames have in common, by which a foreign frame is refused
     light : the forward model of the sensor's light, by which slopes are refined
     elevation : at which balls showed each slope, and what another one changes in slopes by the inverse map
-    denoising : of frames; None where noise cannot be told from detail
+    denoising : of frames; None where noise and detail cannot be separated
     viewpoint : where the camera looks from, None where it is not known
     skin_at_rest : how the light of untouched skin differs from frame to frame; None without a reference
     lights : of a sensor with another number of lights than three, whose first group of three all else here reads
@@ -109,17 +109,17 @@ class Calibration:
 
     @property
     def shrinkage(self) -> DetailShrinkage | None:
-        """Shrinkage of pixels' noise; None where noise cannot be told from detail."""
+        """Shrinkage of pixels' noise; None where noise and detail cannot be separated."""
         return None if self.denoising is None else self.denoising.shrinkage
 
     @property
     def slope_noise(self) -> SlopeNoise | None:
-        """What the shrinkage leaves of noise in slopes; None without one."""
+        """Noise that the shrinkage leaves in slopes; None without one."""
         return None if self.denoising is None else self.denoising.slope_noise
 
     @property
     def null_colour(self) -> NullColour | None:
-        """What removes part of the noise from slopes of raw frames; None where it cannot be told from detail."""
+        """Change of colour that carries noise alone in raw frames; None where no colour does."""
         return None if self.denoising is None else self.denoising.null_colour
 
     @property
@@ -239,7 +239,7 @@ def _paper(
 
 
 def _denoising(prepared: PreparedPresses, models: SlopeModels) -> Denoising | None:
-    """Return how noise is removed from frames; None where it cannot be told from detail."""
+    """Return how noise is removed from frames; None where noise and detail cannot be separated."""
     shrinkage, inverse_map, training = prepared.shrinkage, models.inverse.map, models.training
     if shrinkage is None:
         return None

@@ -88,4 +88,6 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
     if frames.pitch_tolerance is not None:
         scale = with_stated_pitch(assessment.scale, calibration.pitch_um, frames.pitch_tolerance)
         assessment = replace(assessment, scale=scale)
+    if assessment is calibration.assessment:
+        return calibration
     return identified(replace(calibration, assessment=assessment))

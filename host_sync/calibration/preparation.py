@@ -34,7 +34,7 @@ class PreparedPresses:
     frame_model : what the frames have in common
     at_rest : how the light of untouched skin differs from frame to frame; None without a reference
     lights : of the presses
-    shrinkage : of the frames' noise; None where it cannot be told from detail
+    shrinkage : of the frames' noise; None where noise and detail cannot be separated
     """
 
     frames: Sequence[PressFrame]

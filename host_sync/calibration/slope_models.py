@@ -12,6 +12,7 @@ import numpy as np
 from device.balls.sphere import BallSamples, gather_samples
 from device.balls.viewpoint import Viewpoint
 from device.calibration.fit import BegunFit, InverseFit
+from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
 from host_sync.calibration.balls import UsedPress, apply_fit
@@ -67,7 +68,7 @@ class SlopeModels:
         tell("fitting the position-aware inverse map")
         illumination = prepared.illumination
         begun, located, centres = fit_to_best_balls(prepared.frames, prepared.located, illumination)
-        located, begun, removes_light = _in_best_light(prepared, located, begun)
+        located, begun, removes_light = _in_best_light(prepared, located, begun, illumination)
         located, begun = without_contradiction(located, begun, illumination)
         viewpoint = _viewpoint(prepared, pupil_height_mm)
         if viewpoint is not None:
@@ -112,7 +113,7 @@ class SlopeModels:
 
 
 def _in_best_light(
-    prepared: PreparedPresses, located: Sequence[UsedPress], begun: BegunFit
+    prepared: PreparedPresses, located: Sequence[UsedPress], begun: BegunFit, illumination: IlluminationMap | None
 ) -> tuple[Sequence[UsedPress], BegunFit, bool]:
     """Return presses and inverse map with the gains and offsets of presses removed, where held-out balls confirm it.
 
@@ -121,7 +122,7 @@ def _in_best_light(
     if not any(light.change or light.stray for light in prepared.lights):
         return located, begun, True
     lit = in_reference_light(located, prepared.lights, prepared.flat_field)
-    again = fit_to(lit, prepared.illumination)
+    again = fit_to(lit, illumination)
     before_deg, after_deg = begun.fit.held_out_deg, again.fit.held_out_deg
     if before_deg is None or after_deg is None or after_deg > before_deg:
         return located, begun, False

@@ -22,7 +22,7 @@ from host_sync.uncertainty.slope_error import SlopeError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeforeHeights:
-    """What a result needs beside its heights and does not take from them, so that both are made at once.
+    """Parts of a result that do not depend on its heights, so that both are computed at once.
 
     unsure : what the calibration does not know of slopes, on the reduced field (h, w)
     shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
@@ -53,7 +53,7 @@ def uncertainty_of(
     datum: Datum,
     before_heights: BackgroundCall[BeforeHeights],
 ) -> HeightUncertainty:
-    """What is not known of heights.
+    """Return the uncertainty of heights.
 
     height : with shrunk detail, levelled to the datum
     gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
@@ -75,7 +75,7 @@ def uncertainty_of(
 
 
 def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> CalibrationUncertainty:
-    """What the calibration does not know, on a field of `size` (w, h): of what corrects slopes, or of the map."""
+    """Return the calibration's uncertainty, of corrections or of the map, on a field of `size` (w, h)."""
     first = reading.first
     replicas = first.calibration.inverse.replicas if reading.method == "direct" else ()
     correction = first.correction

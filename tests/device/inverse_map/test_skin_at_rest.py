@@ -37,7 +37,7 @@ def ball_slopes(column: float, row: float, contact_px: float = 15.0, radius_px: 
 
 
 def kept_of(evidence: RestEvidence) -> np.ndarray:
-    """What a slope keeps at every pixel."""
+    """Fraction that a slope keeps at every pixel."""
     return cv2.resize(evidence.kept, SHAPE[::-1], interpolation=cv2.INTER_LINEAR)
 
 
