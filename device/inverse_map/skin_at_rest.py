@@ -61,7 +61,12 @@ LIT: Final = 0.5
 
 ROUNDS: Final = 6
 WIDE_ROUNDS: Final = 3
-"""Steps of the search for a frame's gains and offsets; in the first ones half of the field counts at least half."""
+MOST_ROUNDS: Final = 20
+"""Steps of the search over presses; of that for a frame's gains and offsets, of which the first ones count half of the
+field at least half, and all of it at most."""
+
+SETTLED: Final = LEVEL_SIGMA / 3.0
+"""Change of the levels at which the search for those of a frame ends."""
 
 OUTLYING: Final = 3.0
 """Standard deviations at which the prior of a gain or offset counts half: a lamp is replaced, a blind is opened."""
@@ -186,12 +191,14 @@ class SkinAtRest:
         size = self.covariance.shape[:2]
         logs, variance = _cell_logs(image, (size[0], size[1]), squares)
         weight, levels = np.ones(size), np.zeros((3, 2))
-        for step in range(ROUNDS):
-            levels = self._levels(logs, weight, levels)
+        for step in range(MOST_ROUNDS):
+            before, levels = levels, self._levels(logs, weight, levels)
             left = np.where(self._lit[..., None], logs - self._field(levels), np.float32(0.0))
             distance = np.asarray(cv2.GaussianBlur(_squared(left, self._inverse), (0, 0), 1.0), np.float32)
             wide = max(CAUCHY, float(np.median(distance[self._lit])) if step < WIDE_ROUNDS else 0.0)
             weight = np.asarray(1.0 / (1.0 + (distance / wide) ** 2), np.float64)
+            if step > WIDE_ROUNDS and np.abs(levels - before).max() < SETTLED:
+                break
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
         gentle = _squared(_pooled(left, np.ones(size, np.bool_)), self._pooled_inverse)
         kept = np.maximum(_shrink(np.maximum(distance, gentle), SHRINKAGE), _shrink(rough, ROUGHNESS_SHRINKAGE))

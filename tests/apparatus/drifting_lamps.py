@@ -37,6 +37,22 @@ def frame(
     return _lit(np.stack([-across * fall, -down * fall], axis=-1), drift, stray, seed, clipped=clipped)
 
 
+def relief(slope: float, *, radius_px: float = 130.0, bounce: float = 0.01, seed: int = 0) -> NormalizedImage:
+    """Return a disk with waves as steep as `slope` that covers most of the field, and darkens the skin beside it.
+
+    bounce : fraction of the light that the skin at the disk's edge lacks
+    """
+    across, down = COLUMN - 160.0, ROW - 120.0
+    radius = np.maximum(np.hypot(across, down), 1.0)
+    waves = np.stack([np.sin(COLUMN / 40.0), np.cos(ROW / 30.0)], axis=-1)
+    flank = -0.3 * np.stack([across, down], axis=-1) / radius[..., None]
+    slopes = np.where((radius < radius_px)[..., None], slope * waves, 0.0)
+    image = _lit(slopes + np.where((np.abs(radius - radius_px) < 8.0)[..., None], flank, 0.0), NONE, NONE, seed)
+    lacking = np.where(radius < radius_px, 0.0, bounce * np.exp(-(radius - radius_px) / 40.0))
+    image.values[:] *= (1.0 - lacking).astype(np.float32)[..., None]
+    return image
+
+
 def _lit(
     slopes: np.ndarray, drift: np.ndarray, stray: np.ndarray, seed: int, *, clipped: bool = False
 ) -> NormalizedImage:

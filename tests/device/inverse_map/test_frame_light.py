@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.inverse_map.skin_at_rest import SkinAtRest
-from tests.apparatus.drifting_lamps import BALLS, DRIFT, LIGHT, NONE, frame, press
+from tests.apparatus.drifting_lamps import BALLS, DRIFT, LIGHT, NONE, frame, press, relief
 
 FLAT_FIELD = LIGHT.astype(np.float32)
 STRAY = np.array([0.010, 0.012, 0.008])
@@ -54,3 +54,11 @@ def test_drifting_presses_widen_the_prior() -> None:
     restless = SkinAtRest.of(presses, FLAT_FIELD)
     assert restless is not None
     assert restless.gain_sigma == pytest.approx(np.sqrt(np.mean(np.square(drifts))), rel=0.15)
+
+
+@pytest.mark.parametrize("slope", [0.02, 0.1, 0.2, 0.4])
+def test_skin_beside_an_object_that_covers_most_of_the_field_is_at_rest(at_rest: SkinAtRest, slope: float) -> None:
+    evidence = at_rest.evidence(relief(slope))
+    assert evidence.has_rest
+    assert 0.03 < evidence.fraction < 0.08
+    assert evidence.light.change == 0.0
