@@ -18,10 +18,6 @@ from types import TracebackType
 from typing import Self
 
 QEMU = "qemu-system-x86_64"
-ACCELERATORS = ("-accel", "kvm", "-accel", "tcg,thread=multi", "-cpu", "max,-arch-capabilities")
-"""KVM where the machine has it, else emulation. Within another virtual machine a register of `arch-capabilities` cannot
-be set."""
-
 MEMORY_MIB = 1536
 SSH, PAIRING = 22, 8022
 LONG_S = 900.0
@@ -170,7 +166,7 @@ class VirtualMachine:
         nice = ["nice", "-n", "5"] if shutil.which("nice") else []
         forwards = ",".join(f"hostfwd=tcp:127.0.0.1:{here}-:{there}" for there, here in self.ports.items())
         command = [
-            *nice, QEMU, "-M", "q35", *ACCELERATORS, "-smp", "2", "-m", str(MEMORY_MIB),
+            *nice, QEMU, "-M", "q35", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", str(MEMORY_MIB),
             "-display", "none", "-monitor", "none", "-serial", f"file:{self.console}", "-uuid", self.number,
             "-kernel", str(self.cache / "bzImage"),
             "-drive", f"file={self.disk},if=none,id=root,cache=unsafe", "-device", "virtio-blk-pci,drive=root",
