@@ -180,6 +180,7 @@ def _png_chunks(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
 JPEG_END: Final = b"\xff\xd9"
 _WITHOUT_SIZE: Final = (0xC4, 0xC8, 0xCC)
 _START_OF_SCAN: Final = 0xDA
+_JPEG_LS: Final = 0xF7
 _APP1: Final = 0xE1
 _ALONE: Final = (0x01, *range(0xD0, 0xD8))
 """Markers without a length."""
@@ -191,6 +192,8 @@ _FILLER: Final = bytes(np.random.default_rng(1).integers(1, 255, 4096, dtype=np.
 def _open_jpeg(path: Path, data: bytes) -> tuple[ImageInfo, bool, Decode]:
     info = jpeg_info(data)
     if info is None:
+        if any(marker == _JPEG_LS for marker, _, _ in _segments(data)):
+            raise FrameSetError(f"{path}: is a JPEG-LS image, not a JPEG: save it as PNG")
         raise damaged(path)
 
     def decode() -> Pixels:

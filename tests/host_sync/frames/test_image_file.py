@@ -357,6 +357,13 @@ def test_what_is_no_image_is_said_as_it_is(tmp_path: Path, data: bytes, words: s
         read_info(path)
 
 
+def test_a_jpeg_ls_image_is_named_as_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "frame.jpg"
+    path.write_bytes(imagecodecs.jpegls_encode(colours()))
+    with pytest.raises(FrameSetError, match="JPEG-LS image, not a JPEG: save it as PNG"):
+        read_image(path)
+
+
 def test_an_animation_is_no_frame(tmp_path: Path) -> None:
     path = tmp_path / "frame.png"
     first, second = Image.fromarray(colours()), Image.fromarray(colours()[::-1].copy())
