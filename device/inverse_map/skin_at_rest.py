@@ -197,7 +197,7 @@ class SkinAtRest:
             distance = np.asarray(cv2.GaussianBlur(_squared(left, self._inverse), (0, 0), 1.0), np.float32)
             wide = max(CAUCHY, float(np.median(distance[self._lit])) if step < WIDE_ROUNDS else 0.0)
             weight = np.asarray(1.0 / (1.0 + (distance / wide) ** 2), np.float64)
-            if step > WIDE_ROUNDS and np.abs(levels - before).max() < SETTLED:
+            if wide == CAUCHY and step and np.abs(levels - before).max() < SETTLED:
                 break
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
         gentle = _squared(_pooled(left, np.ones(size, np.bool_)), self._pooled_inverse)
@@ -252,11 +252,12 @@ class SkinAtRest:
         light = np.maximum(1.0 + start[:, 1:] * self._contrast, LEAST_LIGHT)
         left = logs.reshape(-1, 3).T - start[:, :1] - np.log(light)
         answer, weighted = self._contrast / light, self._precision * weight.ravel()
+        moved = weighted * answer
         sigma = np.array([self.gain_sigma, self.offset_sigma])
         prior = 1.0 / (sigma**2 + np.square(start / OUTLYING))
-        one, once, twice = ((weighted * answer**power).sum(axis=1) for power in (0, 1, 2))
-        one, twice = one + prior[:, 0], twice + prior[:, 1]
-        level, slope = ((weighted * answer**power * left).sum(axis=1) for power in (0, 1))
+        one, once, twice = weighted.sum(axis=1) + prior[:, 0], moved.sum(axis=1), (moved * answer).sum(axis=1)
+        twice += prior[:, 1]
+        level, slope = (weighted * left).sum(axis=1), (moved * left).sum(axis=1)
         level, slope = level - prior[:, 0] * start[:, 0], slope - prior[:, 1] * start[:, 1]
         steps = np.stack([twice * level - once * slope, one * slope - once * level], axis=-1)
         return np.asarray(start + steps / (one * twice - once**2)[:, None])

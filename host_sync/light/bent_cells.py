@@ -55,27 +55,33 @@ def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, fi
     """Add up slopes, normals, products of slopes' differences over two pixels, and valid pixels, in rows of cells."""
     rows, columns = valid.shape
     one = np.float32(1.0)
+    own = np.empty(12, np.float32)
     for i in range(first, last):
-        for r in range(i * cell + step // 2, min((i + 1) * cell, rows), step):
-            for c in range(step // 2, columns, step):
-                if not valid[r, c]:
-                    continue
-                j = c // cell
-                x, y = p[r, c], q[r, c]
-                normal = one / np.sqrt(one + x * x + y * y)
-                sums[0, i, j] += x
-                sums[1, i, j] += y
-                sums[2, i, j] += x * normal
-                sums[3, i, j] += y * normal
-                sums[4, i, j] += normal
-                sums[8, i, j] += one
-                sums[9, i, j] += x * normal * x * normal
-                sums[10, i, j] += x * normal * y * normal
-                sums[11, i, j] += y * normal * y * normal
-                inner = 0 < r < rows - 1 and 0 < c < columns - 1
-                if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
-                    px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]
-                    qx, qy = q[r, c + 1] - q[r, c - 1], q[r + 1, c] - q[r - 1, c]
-                    sums[5, i, j] += px * px + py * py
-                    sums[6, i, j] += px * qx + py * qy
-                    sums[7, i, j] += qx * qx + qy * qy
+        for j in range(sums.shape[2]):
+            own[:] = 0.0
+            begin = step // 2 + (max(j * cell - step // 2, 0) + step - 1) // step * step
+            end = min((j + 1) * cell, columns)
+            for r in range(i * cell + step // 2, min((i + 1) * cell, rows), step):
+                for c in range(begin, end, step):
+                    if not valid[r, c]:
+                        continue
+                    x, y = p[r, c], q[r, c]
+                    normal = one / np.sqrt(one + x * x + y * y)
+                    own[0] += x
+                    own[1] += y
+                    own[2] += x * normal
+                    own[3] += y * normal
+                    own[4] += normal
+                    own[8] += one
+                    own[9] += x * normal * x * normal
+                    own[10] += x * normal * y * normal
+                    own[11] += y * normal * y * normal
+                    inner = 0 < r < rows - 1 and 0 < c < columns - 1
+                    if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
+                        px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]
+                        qx, qy = q[r, c + 1] - q[r, c - 1], q[r + 1, c] - q[r - 1, c]
+                        own[5] += px * px + py * py
+                        own[6] += px * qx + py * qy
+                        own[7] += qx * qx + qy * qy
+            for part in range(12):
+                sums[part, i, j] = own[part]

@@ -139,7 +139,8 @@ class LightModel:
 
     def residual_at(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """Return the residual's coefficients at places: shape (N, C, terms)."""
-        return np.asarray(np.einsum("cmt,nt->ncm", self.residual, place_terms(x, y, self.shape)))
+        flat = self.residual.reshape(-1, self.residual.shape[-1])
+        return np.asarray(place_terms(x, y, self.shape) @ flat.T).reshape(-1, *self.residual.shape[:2])
 
     def residual_gain(
         self, slope: Float64Array, places: tuple[Float64Array, Float64Array, Float64Array], spread: Float64Array
@@ -221,15 +222,23 @@ def source_points(sources: Float64Array, fall_off: float) -> tuple[Float64Array,
 def residual_terms(p: Float64Array, q: Float64Array, z: Float64Array) -> Float64Array:
     """Return products of the normal's horizontal components up to `NORMAL_ORDER`, and elevation: shape (N, terms)."""
     up = 1.0 / np.sqrt(1.0 + p * p + q * q)
-    across, down = -p * up, -q * up
-    return np.stack([*(across**i * down**j for i, j in MONOMIALS), z / ELEVATION], axis=-1)
+    across, down = _powers(-p * up, NORMAL_ORDER), _powers(-q * up, NORMAL_ORDER)
+    return np.stack([*(across[i] * down[j] for i, j in MONOMIALS), z / ELEVATION], axis=-1)
 
 
 def place_terms(x: Float64Array, y: Float64Array, shape: tuple[int, int]) -> Float64Array:
     """Return products of places, from -1 to 1 over the field, up to `PLACE_ORDER`: shape (N, places)."""
-    across, down = 2.0 * x, 2.0 * y * shape[1] / shape[0]
-    powers = [(i, j) for i in range(PLACE_ORDER + 1) for j in range(PLACE_ORDER + 1 - i)]
-    return np.stack([across**i * down**j for i, j in powers], axis=-1)
+    across, down = _powers(2.0 * x, PLACE_ORDER), _powers(2.0 * y * shape[1] / shape[0], PLACE_ORDER)
+    orders = [(i, j) for i in range(PLACE_ORDER + 1) for j in range(PLACE_ORDER + 1 - i)]
+    return np.stack([across[i] * down[j] for i, j in orders], axis=-1)
+
+
+def _powers(values: Float64Array, most: int) -> list[Float64Array]:
+    """Return the powers 0 to `most` of values (N,)."""
+    powers = [np.ones_like(values)]
+    for _ in range(most):
+        powers.append(powers[-1] * values)
+    return powers
 
 
 MONOMIALS: Final = tuple((i, j) for i in range(NORMAL_ORDER + 1) for j in range(NORMAL_ORDER + 1 - i) if i + j)

@@ -109,13 +109,13 @@ def _deviations(cells: Cells, found: CellSlopes, light: FittedLight, raised: Rai
     slope, incoming = found.slope[here], found.incoming[here]
     shown, design = intensity_changes(cells, found, here)
     change, weight = found.change[here], found.weight[here]
-    system = np.einsum("ncj,nc,nck->njk", change, weight, change) + np.eye(2) / cells.prior_sigma**2
+    weighted = change * weight[..., None]
+    system = np.swapaxes(weighted, 1, 2) @ change + np.eye(2) / cells.prior_sigma**2
 
     def moves(missing: Sequence[Float64Array]) -> SlopePair:
         found = np.zeros((len(missing), cells.size[0] * cells.size[1], 2), np.float32)
-        for move, part in zip(found, missing, strict=True):
-            gradient = np.einsum("ncj,nc,nc->nj", change, weight, part)
-            move[here] = np.linalg.solve(system, gradient[..., None])[..., 0]
+        gradients = np.einsum("ncj,knc->nkj", weighted, np.asarray(missing))
+        found[:, here] = np.moveaxis(np.linalg.solve(system, np.swapaxes(gradients, 1, 2)), -1, 0)
         p, q = (found[..., axis].reshape(-1, *cells.size) for axis in (0, 1))
         return p, q
 
