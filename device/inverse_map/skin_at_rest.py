@@ -60,13 +60,15 @@ LIT: Final = 0.5
 """Cells brighter than the darkest that can be divided by, over this, are lit."""
 
 ROUNDS: Final = 6
+"""Steps of the fit of the noise to presses."""
+
 WIDE_ROUNDS: Final = 3
-MOST_ROUNDS: Final = 20
-"""Steps of the search over presses; of that for a frame's gains and offsets, of which the first ones count half of the
-field at least half, and all of it at most."""
+MAX_ROUNDS: Final = 20
+"""Steps of the search for a frame's gains and offsets: the first ones, in which half of the field counts at least half,
+and all of them at most."""
 
 SETTLED: Final = LEVEL_SIGMA / 3.0
-"""Change of the levels at which the search for those of a frame ends."""
+"""Change of a frame's levels below which the search for them ends."""
 
 OUTLYING: Final = 3.0
 """Standard deviations at which the prior of a gain or offset counts half: a lamp is replaced, a blind is opened."""
@@ -191,7 +193,7 @@ class SkinAtRest:
         size = self.covariance.shape[:2]
         logs, variance = _cell_logs(image, (size[0], size[1]), squares)
         weight, levels = np.ones(size), np.zeros((3, 2))
-        for step in range(MOST_ROUNDS):
+        for step in range(MAX_ROUNDS):
             before, levels = levels, self._levels(logs, weight, levels)
             left = np.where(self._lit[..., None], logs - self._field(levels), np.float32(0.0))
             distance = np.asarray(cv2.GaussianBlur(_squared(left, self._inverse), (0, 0), 1.0), np.float32)

@@ -55,7 +55,7 @@ def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, fi
     """Add up slopes, normals, products of slopes' differences over two pixels, and valid pixels, in rows of cells."""
     rows, columns = valid.shape
     one = np.float32(1.0)
-    own = np.empty(12, np.float32)
+    own = np.empty(len(sums), np.float32)
     for i in range(first, last):
         for j in range(sums.shape[2]):
             own[:] = 0.0
@@ -83,5 +83,4 @@ def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, fi
                         own[5] += px * px + py * py
                         own[6] += px * qx + py * qy
                         own[7] += qx * qx + qy * qy
-            for part in range(12):
-                sums[part, i, j] = own[part]
+            sums[:, i, j] = own

@@ -198,10 +198,8 @@ class Cells:
             shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
         x, y, _ = self.places(found.z_px)
         p, q = found.slope.T
-        system = (
-            np.einsum("ncj,nc,nck->njk", found.change, found.weight, found.change) + np.eye(2) / self.prior_sigma**2
-        )
         weighted = found.change * found.weight[..., None]
+        system = np.swapaxes(weighted, 1, 2) @ found.change + np.eye(2) / self.prior_sigma**2
         around = model.albedo * (found.incoming - _light_of_floor(square)[:, None])
         slopes = []
         for below in (np.zeros_like(x), shown):

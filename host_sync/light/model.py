@@ -222,23 +222,16 @@ def source_points(sources: Float64Array, fall_off: float) -> tuple[Float64Array,
 def residual_terms(p: Float64Array, q: Float64Array, z: Float64Array) -> Float64Array:
     """Return products of the normal's horizontal components up to `NORMAL_ORDER`, and elevation: shape (N, terms)."""
     up = 1.0 / np.sqrt(1.0 + p * p + q * q)
-    across, down = _powers(-p * up, NORMAL_ORDER), _powers(-q * up, NORMAL_ORDER)
+    across, down = (np.vander(part * up, NORMAL_ORDER + 1, increasing=True).T for part in (-p, -q))
     return np.stack([*(across[i] * down[j] for i, j in MONOMIALS), z / ELEVATION], axis=-1)
 
 
 def place_terms(x: Float64Array, y: Float64Array, shape: tuple[int, int]) -> Float64Array:
     """Return products of places, from -1 to 1 over the field, up to `PLACE_ORDER`: shape (N, places)."""
-    across, down = _powers(2.0 * x, PLACE_ORDER), _powers(2.0 * y * shape[1] / shape[0], PLACE_ORDER)
+    places = 2.0 * x, 2.0 * y * shape[1] / shape[0]
+    across, down = (np.vander(part, PLACE_ORDER + 1, increasing=True).T for part in places)
     orders = [(i, j) for i in range(PLACE_ORDER + 1) for j in range(PLACE_ORDER + 1 - i)]
     return np.stack([across[i] * down[j] for i, j in orders], axis=-1)
-
-
-def _powers(values: Float64Array, most: int) -> list[Float64Array]:
-    """Return the powers 0 to `most` of values (N,)."""
-    powers = [np.ones_like(values)]
-    for _ in range(most):
-        powers.append(powers[-1] * values)
-    return powers
 
 
 MONOMIALS: Final = tuple((i, j) for i in range(NORMAL_ORDER + 1) for j in range(NORMAL_ORDER + 1 - i) if i + j)

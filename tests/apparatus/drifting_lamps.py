@@ -38,7 +38,7 @@ def frame(
 
 
 def relief(slope: float, *, radius_px: float = 130.0, bounce: float = 0.01, seed: int = 0) -> NormalizedImage:
-    """Return a disk with waves as steep as `slope` that covers most of the field, and darkens the skin beside it.
+    """Return a disk with waves as steep as `slope` that covers most of the field, and darkens the skin around it.
 
     bounce : fraction of the light that the skin at the disk's edge lacks
     """
