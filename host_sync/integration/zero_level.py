@@ -30,7 +30,10 @@ FAR_SHARE: Final = 0.2
 """Of the largest distance from touched skin; skin farther off is far."""
 
 MIN_SHARE: Final = 0.02
-"""Share of the field that a flat part must make up to be the lowest, and far skin to do without the rest of it."""
+"""Share of the field that flat skin must make up to be the lowest, and far skin to do without the rest of it."""
+
+CORNERS: Final = 4
+"""Parts that skin at rest by its light may consist of to make up that share: a large object leaves corners free."""
 
 ALIKE_SHARE: Final = 0.1
 """Flat parts this share of the map's height above the lowest are untouched too: long waves are known least."""
@@ -135,7 +138,7 @@ def find_datum(
     """
     if at_rest is not None:
         resting = at_rest & gradients.valid
-        low = _far_and_low(resting, gradients.valid, height.z_um)
+        low = _far_and_low(resting, gradients.valid, height.z_um, MIN_SHARE / CORNERS)
         return no_datum(height, gradients) if low is None else _datum_on(height, low)
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
@@ -178,11 +181,16 @@ def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> boo
     return bool((known_um < height_of_rest_um(height, skin) - under_um).mean() > MAX_UNDER)
 
 
-def _far_and_low(flat: MaskArray, valid: MaskArray, z_um: Float32Array) -> MaskArray | None:
-    """Of flat skin the lowest large parts, far from all other valid skin: bool array (H, W), None without such."""
+def _far_and_low(
+    flat: MaskArray, valid: MaskArray, z_um: Float32Array, part_share: float = MIN_SHARE
+) -> MaskArray | None:
+    """Of flat skin the lowest large parts, far from all other valid skin: bool array (H, W), None without such.
+
+    part_share : as of `_lowest_parts`
+    """
     rows, columns = flat.shape
     here = _cells(flat.shape)
-    resting = _lowest_parts(flat[here], z_um[here])
+    resting = _lowest_parts(flat[here], z_um[here], part_share)
     if not resting.any():
         return None
     other = valid[here] & ~resting
@@ -202,21 +210,24 @@ def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
     return np.ix_(*(((np.arange(count) + 0.5) * (full / count)).astype(np.intp) for count, full in sizes))
 
 
-def _lowest_parts(flat: MaskArray, z_um: Float32Array) -> MaskArray:
-    """The large connected parts of a mask that stand about as high as the lowest.
+def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> MaskArray:
+    """The connected parts of a mask that stand about as high as the lowest, and make up `MIN_SHARE` of it together.
 
     What is rough all over has small patches that are flat on average; they are none of these.
+
+    part_share : of the field that each must make up
     """
-    count, labels = cv2.connectedComponents(flat.astype(np.uint8), connectivity=4)
+    _, labels = cv2.connectedComponents(flat.astype(np.uint8), connectivity=4)
     known = flat & np.isfinite(z_um)
-    parts = [(number, z_um[known & (labels == number)]) for number in range(1, count)]
-    large = [(number, heights) for number, heights in parts if heights.size >= MIN_SHARE * flat.size]
-    if not large:
-        return np.zeros_like(flat)
-    levels = {number: float(np.median(heights)) for number, heights in large}
-    low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT)
-    limit = min(levels.values()) + ALIKE_SHARE * float(high - low)
-    return np.isin(labels, [number for number, level in levels.items() if level <= limit])
+    share = np.bincount(labels[known], minlength=labels.max() + 1) / flat.size
+    large = [number for number in range(1, share.size) if share[number] >= max(part_share, 1.0 / flat.size)]
+    level = {number: float(np.median(z_um[known & (labels == number)])) for number in large}
+    low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT) if large else (0.0, 0.0)
+    for number in sorted(large, key=level.__getitem__):
+        alike = [other for other in large if 0.0 <= level[other] - level[number] <= ALIKE_SHARE * float(high - low)]
+        if share[alike].sum() >= MIN_SHARE:
+            return np.isin(labels, alike)
+    return np.zeros_like(flat)
 
 
 def block_medians(z_um: Float32Array, skin: MaskArray) -> Float64Array:

@@ -39,6 +39,30 @@ def test_a_plate_beyond_the_border_is_not_taken_for_zero_though_it_is_most_of_th
     assert not found.skin[:, 140].any()
 
 
+def corners(depth: int) -> np.ndarray:
+    """Return where skin lies at rest in the four corners, as rectangles of `depth` x `depth` pixels."""
+    return (np.minimum(ROW, SHAPE[0] - 1 - ROW) < depth) & (np.minimum(COLUMN, SHAPE[1] - 1 - COLUMN) < depth)
+
+
+@pytest.mark.parametrize(("depth", "has_zero"), [(28, True), (16, False)])
+def test_four_corners_at_rest_by_their_light_make_up_a_zero_together(depth: int, *, has_zero: bool) -> None:
+    """Each has 1 % of the field, or a third of that."""
+    block = 100.0 * soft_step(np.maximum(np.abs(ROW - 120.0) - 60.0, np.abs(COLUMN - 160.0) - 90.0))
+    height = HeightMap((block + 33.0).astype(np.float32), PITCH_UM)
+    found = find_datum(height, gradients_of(block), at_rest=corners(depth))
+    assert found.is_relative != has_zero
+    if has_zero:
+        assert found.zero_um == pytest.approx(33.0, abs=0.5)
+        assert found.blocks == 4
+
+
+def test_small_skin_at_rest_below_a_large_part_of_it_is_not_the_zero() -> None:
+    surface = np.where((ROW > 200) & (COLUMN > 280), -30.0, 0.0) + 100.0 * soft_step(ROW - 60.0)
+    at_rest = ((ROW > 215) & (COLUMN > 295)) | ((ROW > 120) & (COLUMN < 200))
+    found = find_datum(HeightMap(surface.astype(np.float32), PITCH_UM), gradients_of(surface), at_rest=at_rest)
+    assert found.zero_um == pytest.approx(0.0, abs=0.5)
+
+
 def test_skin_that_sinks_gently_towards_rest_does_not_raise_the_zero() -> None:
     """The skin's lift falls off over 40 px: under 0.01 of slope from 130 px on, where it still stands 2 um high."""
     away = np.maximum(COLUMN - 40.0, 0.0)
