@@ -237,13 +237,13 @@ class SkinAtRest:
     @cached_property
     def _contrast(self) -> Float64Array:
         """Darkness of cells less its mean, shape (3, cells)."""
-        return np.asarray((self.darkness - self._mean_darkness).reshape(-1, 3).T, np.float64)
+        return np.ascontiguousarray((self.darkness - self._mean_darkness).reshape(-1, 3).T, np.float64)
 
     @cached_property
     def _precision(self) -> Float64Array:
         """Information of a cell on a level, zero where it is not lit: shape (3, cells)."""
         variance = CELLS_ALIKE * np.einsum("...ii->i...", self.covariance).astype(np.float64)
-        return np.asarray(self._lit.ravel() / variance.reshape(3, -1))
+        return np.ascontiguousarray(self._lit.ravel() / variance.reshape(3, -1))
 
     def _levels(self, logs: Float32Array, weight: Float64Array, start: Float64Array) -> Float64Array:
         """Return levels (3, 2) of cells' log intensity (h, w, 3) by one Gauss-Newton step from others.
@@ -252,7 +252,7 @@ class SkinAtRest:
         that light.
         """
         light = np.maximum(1.0 + start[:, 1:] * self._contrast, LEAST_LIGHT)
-        left = logs.reshape(-1, 3).T - start[:, :1] - np.log(light)
+        left = np.ascontiguousarray(logs.reshape(-1, 3).T) - start[:, :1] - np.log(light)
         answer, weighted = self._contrast / light, self._precision * weight.ravel()
         moved = weighted * answer
         sigma = np.array([self.gain_sigma, self.offset_sigma])
@@ -326,7 +326,11 @@ def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
 
 def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
     """Return `_distance` by the inverse of the covariance."""
-    return np.asarray(np.einsum("...i,...ij,...j->...", left, precision, left) / 3.0, np.float32)
+    one, two, three = np.moveaxis(left, -1, 0)
+    by_one, by_two, by_three = np.moveaxis(precision, (-2, -1), (0, 1))
+    total = one * (by_one[0] * one + 2.0 * (by_one[1] * two + by_one[2] * three))
+    total += two * (by_two[1] * two + 2.0 * by_two[2] * three) + by_three[2] * three**2
+    return np.asarray(total / 3.0, np.float32)
 
 
 def _shrink(square: Float32Array, threshold: float) -> Float32Array:

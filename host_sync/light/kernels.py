@@ -100,7 +100,7 @@ def write_search(
     count, channels, terms = points.shape[0], strengths.shape[0], exponents.shape[0]
     rays, normal = np.empty((count, points.shape[1], 5)), np.empty((3, 4))
     light, shown, dark = np.empty((3, count)), np.empty((3, channels)), np.empty(channels)
-    powers = np.empty((2, 5))
+    powers, values = np.empty((2, 5)), np.empty((terms + 1, 3))
     for i in range(first, last):
         v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
         for source in range(count):
@@ -139,11 +139,16 @@ def write_search(
                     powers[0, order] = powers[0, order - 1] * normal[k, 0]
                     powers[1, order] = powers[1, order - 1] * normal[k, 1]
                 for term in range(terms):
-                    value = powers[0, exponents[term, 0]] * powers[1, exponents[term, 1]]
-                    for channel in range(channels):
-                        shown[k, channel] += residual[i, channel, term] * value
-                for channel in range(channels):
-                    shown[k, channel] += residual[i, channel, terms] * z[i] / elevation
+                    values[term, k] = powers[0, exponents[term, 0]] * powers[1, exponents[term, 1]]
+                values[terms, k] = z[i] / elevation
+            for channel in range(channels):
+                level, right, below = shown[0, channel], shown[1, channel], shown[2, channel]
+                for term in range(terms + 1):
+                    share = residual[i, channel, term]
+                    level += share * values[term, 0]
+                    right += share * values[term, 1]
+                    below += share * values[term, 2]
+                shown[0, channel], shown[1, channel], shown[2, channel] = level, right, below
             pp, pq, qq = known[i], 0.0, known[i]
             along_p, along_q = known[i] * (expected[i, 0] - slope[i, 0]), known[i] * (expected[i, 1] - slope[i, 1])
             for channel in range(channels):

@@ -177,6 +177,20 @@ class LightModel:
 
     def uncertain_fraction(self, prior_sigma: float) -> float:
         """Return how much of errors of slopes known to `prior_sigma` remains, on the mean over the field."""
+        return float((1.0 / (1.0 + self.information * prior_sigma**2)).mean())
+
+    def believed_fraction(self, prior_sigma: float) -> float:
+        """Return how much of errors of slopes known to `prior_sigma` the sources alone take away."""
+        return 1.0 - self._sources_alone.uncertain_fraction(prior_sigma)
+
+    @cached_property
+    def _sources_alone(self) -> LightModel:
+        """The model without its residual field, whose errors are those of the sources."""
+        return replace(self, sigma=self.source_sigma, residual=np.zeros_like(self.residual))
+
+    @cached_property
+    def information(self) -> Float64Array:
+        """One over the variance of a slope component by intensity, over places and directions: shape (N,)."""
         rows, columns = self.shape
         angle = np.arange(8) * (np.pi / 4)
         across, down, turn = (part.ravel() for part in np.meshgrid((0.2, 0.5, 0.8), (0.2, 0.5, 0.8), angle))
@@ -185,13 +199,7 @@ class LightModel:
         level = np.zeros((len(turn), len(self.sigma)))
         here = self.intensity(slope, places, level)
         moved = [self.intensity(slope + step, places, level) - here for step in ((0.01, 0.0), (0.0, 0.01))]
-        square = np.square(np.array(moved) / (0.01 * self.sigma)).sum(axis=-1).mean(axis=0)
-        return float((1.0 / (1.0 + square * prior_sigma**2)).mean())
-
-    def believed_fraction(self, prior_sigma: float) -> float:
-        """Return how much of errors of slopes known to `prior_sigma` the sources alone take away."""
-        sources = replace(self, sigma=self.source_sigma, residual=np.zeros_like(self.residual))
-        return 1.0 - sources.uncertain_fraction(prior_sigma)
+        return np.asarray(np.square(np.array(moved) / (0.01 * self.sigma)).sum(axis=-1).mean(axis=0))
 
     @cached_property
     def geometry(self) -> tuple[Float64Array, Float64Array]:

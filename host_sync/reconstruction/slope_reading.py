@@ -18,7 +18,7 @@ from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.extrapolation import strange_blocks
 from host_sync.gradients.flat_field_kernel import raw_intensity
 from host_sync.gradients.intensity_checks import check_exposure
-from host_sync.gradients.inverse_map_kernel import evaluate
+from host_sync.gradients.inverse_map_kernel import SlopeKernel
 from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.parallel_rows import BackgroundCall, parallel_rows
 from host_sync.light.cell_correction import CellCorrection
@@ -223,14 +223,20 @@ def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> Non
 
 
 def uncorrected(
-    intensity: NormalizedImage, calibration: Calibration, method: Method, shrunk: NormalizedImage | None = None
+    intensity: NormalizedImage,
+    calibration: Calibration,
+    method: Method,
+    shrunk: NormalizedImage | None = None,
+    kernel: SlopeKernel | None = None,
 ) -> GradientField:
-    """Slopes per pixel by the method, read as if all skin stood where untouched skin does.
+    """Return slopes per pixel by the method, as if all skin stood where untouched skin does.
 
-    shrunk : the intensity with its noise shrunk, where that is in it: the default takes off what it tells of noise
+    shrunk : the intensity with its noise shrunk, by which the inverse map's bias from noise is removed
+    kernel : the compiled inverse map of the calibration; None to make it
     """
     if method == "paper":
         return estimate_gradients(calibration.paper_model, intensity)
-    gradients = evaluate(calibration.inverse.map, intensity, calibration.null_colour, shrunk)
+    kernel = kernel or SlopeKernel(calibration.inverse.map, null_colour=calibration.null_colour)
+    gradients = kernel.evaluate(intensity, shrunk)
     even_confidence(gradients, intensity.clipped)
     return gradients

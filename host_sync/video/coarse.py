@@ -16,6 +16,7 @@ from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, GradientField
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.frame_checks.frame_model import FrameModel
+from host_sync.gradients.inverse_map_kernel import SlopeKernel
 from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cell_correction import CellCorrection
 from host_sync.light.fit import FittedLight
@@ -87,15 +88,17 @@ def read_coarse(
     evidence: RestEvidence | None,
     calibration: Calibration,
     method: Method,
+    kernel: SlopeKernel,
     *,
     is_whole: bool,
 ) -> CoarseReading:
     """Return the slopes of a coarse image, corrected as those of a single frame are.
 
     evidence : of skin at rest; None without a reference
+    kernel : the compiled inverse map of the calibration
     is_whole : the image is not reduced, and its slopes are those of a frame reconstructed alone
     """
-    gradients = uncorrected(image, calibration, method)
+    gradients = uncorrected(image, calibration, method, kernel=kernel)
     read_p, read_q, sure = gradients.p.copy(), gradients.q.copy(), gradients.weight.copy()
     correction, light = None, calibration.light
     if method == "direct" and light.confirmed:

@@ -20,7 +20,7 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
-from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
+from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_colours, check_datum, check_turn
 from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
@@ -127,6 +127,7 @@ class FrameSolver:
             self._coarse_rest = self._coarse.flat_field
         self._intensity = empty_intensity(self.shape)
         self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
+        self._coarse_slopes = SlopeKernel(self._coarse.inverse.map)
         at_rest = calibration.skin_at_rest
         self._rest = at_rest
         self._gain_sigma = 0.0 if at_rest is None else at_rest.gain_sigma
@@ -181,7 +182,9 @@ class FrameSolver:
         intensity = self._read(frame)
         checks = self._calibration.frame_model.check(intensity, self._flat_field)
         raise_on_warnings(refusals(checks), frame.name, force=self.force)
-        evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
+        image, squares = self._reduced(intensity)
+        raise_on_warnings(check_turn(image, self._coarse_rest), frame.name, force=self.force)
+        evidence = None if self._rest is None else self._rest.evidence(image, squares)
         if evidence is None or not evidence.has_rest:
             return FrameLight.unchanged()
         raise_on_warnings(refusals(check_light(evidence.light)), frame.name, force=self.force)
@@ -212,11 +215,12 @@ class FrameSolver:
         light.take_out(image.values, self._coarse_rest)
         if self._cell > 1:
             light.take_out(intensity.values, self._flat_field)
-        raise_on_warnings(self._warnings(image), frame.name, force=self.force)
+        strange = check_colours(image, self._coarse.inverse.map, SAMPLES_ALONG // CHECK_STRIDE_FACTOR)
+        raise_on_warnings(strange, frame.name, force=self.force)
         evidence = None if self._rest is None else self._rest.evidence(image, squares)
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
-        reading = read_coarse(image, evidence, self._coarse, self.method, is_whole=self._cell == 1)
+        reading = read_coarse(image, evidence, self._coarse, self.method, self._coarse_slopes, is_whole=self._cell == 1)
         viewpoint = self._calibration.viewpoint
         if self._cell > 1:
             gradients = self._fine_slopes(intensity, reading)
@@ -243,9 +247,6 @@ class FrameSolver:
             peak_um=peak_um if known else None,
             is_relative=datum.is_relative,
         )
-
-    def _warnings(self, image: NormalizedImage) -> list[str]:
-        return check_frame(image, self._coarse_rest, self._coarse.inverse.map, SAMPLES_ALONG // CHECK_STRIDE_FACTOR)
 
     def _read(self, frame: StoredFrame) -> NormalizedImage:
         """Return the intensity of a frame."""
