@@ -16,7 +16,7 @@ import tifffile
 from PIL import Image
 
 from device.balls.viewpoint import Viewpoint
-from device.errors import OutputError
+from device.errors import CalibrationMismatch, OutputError
 from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
 from device.inverse_map.model import InverseMap
 from device.inverse_map.regressor import FeatureRegressor
@@ -178,6 +178,17 @@ def test_frames_of_another_size_or_order_are_named_and_the_others_go_on(tmp_path
     assert failure.reason.startswith("small.png: the frame is 160x119 pixels")
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"heights_um.tif", "result.json", "contact.csv", "contact.png"}
+
+
+def test_a_stretch_that_begins_with_a_mirrored_frame_is_refused() -> None:
+    uneven = calibration()
+    across, down = (np.linspace(0.98, 1.02, length)[:, None] for length in reversed(SHAPE))
+    uneven.flat_field = np.ascontiguousarray(uneven.flat_field * across * down[:, None], np.float32)
+    pixels = np.rint(uneven.flat_field * 65535.0).astype(np.uint16)
+    of_uneven = FrameSolver(uneven, "direct", "linear")
+    of_uneven.light_of(StoredFrame("good", pixels))
+    with pytest.raises(CalibrationMismatch, match="mirrored left to right"):
+        of_uneven.light_of(StoredFrame("mirrored", np.ascontiguousarray(pixels[:, ::-1])))
 
 
 def test_without_weights_a_clean_surface_is_the_same(tmp_path: Path) -> None:
