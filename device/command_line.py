@@ -79,7 +79,7 @@ class OldCommand(CycloptsError):
 
 
 def make_app(name: str, purpose: str, exit_codes: str) -> App:
-    """A program without commands, which knows `--version` and `--install-completion`.
+    """Return a program without commands, which knows `--version` and `--install-completion`.
 
     A flag that is on by default names the option that switches it off; others have none.
     """
@@ -111,7 +111,7 @@ def add_commands(app: App, commands: Iterable[Command]) -> None:
 
 
 def _shown_default(value: object) -> str | None:
-    """The default as help shows it; None for those that go without saying: nothing, off, and an empty list."""
+    """Return the default as help shows it; None for those that go without saying: nothing, off, and an empty list."""
     if value is None or value is False or value == ():
         return None
     return "on" if value is True else str(value)
@@ -195,7 +195,7 @@ def write_any_sign() -> None:
 
 
 def refused_by_system(error: OSError) -> str:
-    """A sentence for what the system refused and no part put into words: a file by its name, else the output.
+    """Return a sentence for what the system refused and no part put into words: a file by its name, else the output.
 
     An output that is refused goes nowhere from now on: the interpreter's last flush must not fail either.
     """
@@ -224,7 +224,7 @@ def print_json(document: object) -> None:
 
 
 def examples_text(examples: Sequence[str]) -> str:
-    """The block of examples at the end of a command's help."""
+    """Return the block of examples at the end of a command's help."""
     return "\n".join(["Examples:", *(f"  {line}" for line in examples)]) if examples else ""
 
 
@@ -239,7 +239,7 @@ def sentence(error: CycloptsError, app: App) -> str:
 
 
 def unknown_command(word: str, app: App) -> str:
-    """The sentence on a command that does not exist."""
+    """Return the sentence on a command that does not exist."""
     (near,) = get_close_matches(word, [name for name in app if not name.startswith("-")], 1) or ("",)
     meant = f"did you mean {near!r}? " if near else ""
     return f"there is no command {word!r}: {meant}`{app.name[0]} --help` lists them"

@@ -252,7 +252,7 @@ class BoardProfile(Table, frozen=True):
 
 
 def load_board_profile(name_or_path: str | Path) -> BoardProfile:
-    """The shipped profile of that name, or the one at that path (`….toml`).
+    """Return the shipped profile of that name, or the one at that path (`….toml`).
 
     Raises
     ------
@@ -320,7 +320,7 @@ def _errors(profile: BoardProfile) -> Iterator[str]:
 
 
 def _exposure_errors(sensor: SensorConfig, camera: CameraConfig) -> Iterator[str]:
-    """Requests that the sensor cannot grant: every frame would be refused because its metadata differ."""
+    """Yield requests that the sensor cannot grant: every frame would be refused because its metadata differ."""
     if not sensor.min_gain <= camera.analogue_gain <= sensor.max_gain:
         yield (
             f"camera.analogue_gain: the {sensor.model} has no gain of {camera.analogue_gain:g}; accepted: "
@@ -332,7 +332,7 @@ def _exposure_errors(sensor: SensorConfig, camera: CameraConfig) -> Iterator[str
 
 
 def _usb_errors(profile: BoardProfile) -> Iterator[str]:
-    """Problems in the table that a sensor on USB needs."""
+    """Yield problems in the table that a sensor on USB needs."""
     camera, sensor = profile.uvc, profile.sensor
     if camera is None:
         yield "uvc: the driver 'uvc' needs a [uvc] table"
@@ -348,7 +348,7 @@ def _usb_errors(profile: BoardProfile) -> Iterator[str]:
 
 
 def _wiring_errors(profile: BoardProfile) -> Iterator[str]:
-    """Problems in the tables that a real board needs."""
+    """Yield problems in the tables that a real board needs."""
     for name in ("libcamera", "light_driver", "button"):
         if getattr(profile, name) is None and (name, profile.driver) != ("libcamera", "twin-camera"):
             yield f"{name}: the driver {profile.driver!r} needs a [{name}] table"

@@ -11,11 +11,11 @@ class SystemClock:
     """The system clock."""
 
     def monotonic_ns(self) -> int:
-        """Monotonic time, ns."""
+        """Return monotonic time, ns."""
         return time.monotonic_ns()
 
     def wall_time_s(self) -> float:
-        """Seconds since 1970 by the system clock."""
+        """Return seconds since 1970 by the system clock."""
         return time.time()
 
     def sleep(self, duration_s: float) -> None:
@@ -38,11 +38,11 @@ class VirtualClock:
         self._wall_start_s = wall_start_s
 
     def monotonic_ns(self) -> int:
-        """Nanoseconds of virtual time."""
+        """Return nanoseconds of virtual time."""
         return self._now_ns
 
     def wall_time_s(self) -> float:
-        """Seconds since 1970, advancing with the virtual time."""
+        """Return seconds since 1970, advancing with the virtual time."""
         return self._wall_start_s + (self._now_ns - self._start_ns) / _NS_PER_S
 
     def jump_wall(self, by_s: float) -> None:

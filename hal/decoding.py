@@ -45,7 +45,7 @@ _HINTS: Final[tuple[tuple[str, str], ...]] = (
 
 
 def decode_toml(data: bytes, kind: type[T]) -> T:
-    """The record in TOML; the mark with which some editors begin UTF-8 is skipped.
+    """Return the record in TOML; the mark with which some editors begin UTF-8 is skipped.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def decode_toml(data: bytes, kind: type[T]) -> T:
 
 
 def decode_json(data: bytes, kind: type[T]) -> T:
-    """The record in JSON, which programs write and begin without a mark; errors as for `decode_toml`."""
+    """Return the record in JSON, which programs write and begin without a mark; errors as for `decode_toml`."""
     return _decoded(lambda: msgspec.json.decode(data, type=kind), data, "JSON")
 
 
@@ -90,7 +90,7 @@ def _reason(data: bytes, error: Exception, form: str) -> str:
 
 
 def _toml_advice(text: str, error: str) -> str:
-    """The line that a decoder's error names and what to write there, as one clause."""
+    """Return the line that a decoder's error names and what to write there, as one clause."""
     if found := re.search(r"\(at line (\d+), column \d+\)", error):
         number = int(found[1])
     elif "at end of document" in error:

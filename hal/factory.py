@@ -11,7 +11,7 @@ from hal.interfaces import Clock
 
 
 def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int | None = None) -> Hardware:
-    """The hardware that the profile names, or an error; never a substitute.
+    """Return the hardware that the profile names, or an error; never a substitute.
 
     Parameters
     ----------

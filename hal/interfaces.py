@@ -21,11 +21,11 @@ class Clock(Protocol):
     """Injected time, so that tests and the twin run in virtual time."""
 
     def monotonic_ns(self) -> int:
-        """Monotonic time, ns; the time base of `RawFrame.sensor_timestamp_ns`."""
+        """Return monotonic time, ns; the time base of `RawFrame.sensor_timestamp_ns`."""
         ...
 
     def wall_time_s(self) -> float:
-        """Seconds since 1970 by the system clock: an annotation, never an identity."""
+        """Return seconds since 1970 by the system clock: an annotation, never an identity."""
         ...
 
     def sleep(self, duration_s: float) -> None:
@@ -54,7 +54,7 @@ class Camera(Protocol):
         ...
 
     def next_frame(self, timeout_s: float) -> RawFrame:
-        """The next frame that the sensor completes, never an earlier one.
+        """Return the next frame that the sensor completes, never an earlier one.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class Camera(Protocol):
         ...
 
     def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
-        """The next small grey picture for aiming, uint8 array of shape (h, w); not for measurement.
+        """Return the next small grey picture for aiming, uint8 array of shape (h, w); not for measurement.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Lights(Protocol):
         ...
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """The nearest currents (mA) that the driver can set, which `switch_on` then applies.
+        """Return the nearest currents (mA) that the driver can set, which `switch_on` then applies.
 
         Raises
         ------
@@ -152,14 +152,14 @@ class Button(Protocol):
     """
 
     def wait_for_push(self, timeout_s: float | None) -> int | None:
-        """Time at which the next press began (ns), while the button is still down; None after `timeout_s`.
+        """Return the time at which the next press began (ns), while the button is still down; None after `timeout_s`.
 
         Each press is reported once. `wait_for_press` then waits for the release of the same press, if needed.
         """
         ...
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press after its release, or None after `timeout_s` (None waits without limit)."""
+        """Return the next press after its release, or None after `timeout_s` (None waits without limit)."""
         ...
 
     def is_down(self) -> bool:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 
 def profile_names() -> tuple[str, ...]:
-    """Names of the profiles shipped with the program, sorted."""
+    """Return names of the profiles shipped with the program, sorted."""
     return tuple(sorted(path.stem for path in profile_folder().glob("*.toml")))
 
 
 def profile_folder() -> Path:
-    """Folder of the shipped profiles: inside an installed wheel, else beside the package in a checkout."""
+    """Return the folder of the shipped profiles: inside an installed wheel, else beside the package in a checkout."""
     package = Path(str(resources.files("hal")))
     shipped = package / "board"
     return shipped if shipped.is_dir() else package.parent / "board"

@@ -85,7 +85,7 @@ def explain_with_accepted(error: msgspec.ValidationError, kind: type[msgspec.Str
 
 
 def accepted_at(kind: type[msgspec.Struct], key: str) -> str:
-    """Description of the values accepted at a key such as "lights[1].colour"."""
+    """Return the description of the values accepted at a key such as "lights[1].colour"."""
     found: inspect.Type = inspect.type_info(kind)
     for name, _ in _steps(key):
         found = _step_into(_bare(found), name)
@@ -93,7 +93,7 @@ def accepted_at(kind: type[msgspec.Struct], key: str) -> str:
 
 
 def not_finite(record: msgspec.Struct, prefix: str = "") -> Iterator[str]:
-    """Keys of all numbers that are infinite or NaN."""
+    """Yield keys of all numbers that are infinite or NaN."""
     for name in record.__struct_fields__:
         yield from _not_finite(getattr(record, name), f"{prefix}{name}")
 
@@ -120,25 +120,25 @@ def _kinds(names: str) -> str:
 
 
 def _without_quotes(accepted: str, given: str) -> str:
-    """The mend of a number that was written as a text."""
+    """Return the mend of a number that was written as a text."""
     return ": write it without quotes and unit" if given == "str" and re.search("int|float", accepted) else ""
 
 
 def _steps(key: str) -> Iterator[tuple[str, int | None]]:
-    """A key's steps: a name, or an empty name and an index."""
+    """Yield a key's steps: a name, or an empty name and an index."""
     for match in _STEP.finditer(key):
         yield match[1] or "", None if match[2] is None else int(match[2])
 
 
 def _value_at(data: Any, key: str) -> str:
-    """The value in the file, as it would be written there."""
+    """Return the value in the file, as it would be written there."""
     for name, index in _steps(key):
         data = data[name] if name else data[index or 0]
     return "a table" if isinstance(data, dict) else f"a list of {len(data)}" if isinstance(data, list) else repr(data)
 
 
 def _bare(kind: inspect.Type) -> inspect.Type:
-    """The type without metadata or an alternative None."""
+    """Return the type without metadata or an alternative None."""
     if isinstance(kind, inspect.Metadata):
         return _bare(kind.type)
     if isinstance(kind, inspect.UnionType):
@@ -180,7 +180,7 @@ def _describe(kind: inspect.Type) -> str:
 
 
 def _bounds(kind: inspect.IntType | inspect.FloatType) -> str:
-    """Limits of a number, such as " from 0 to 1"."""
+    """Return limits of a number, such as " from 0 to 1"."""
     parts = []
     if kind.gt is not None:
         parts.append(f"above {kind.gt:g}")

@@ -46,7 +46,7 @@ def calibrate(
     paper: bool = False,
     pupil_height_mm: float | None = None,
 ) -> KeptCalibration:
-    """The calibration that presses of balls carry; `write(path)` keeps it, `load_calibration` reads it.
+    """Return the calibration that presses of balls carry; `write(path)` keeps it, `load_calibration` reads it.
 
     reference : the skin at rest; without it a stand-in is fitted to the presses
     pixel_pitch_um, pupil_height_mm : of pixels on the skin, and of the camera over it (`docs/frame-set.md`)
@@ -105,7 +105,7 @@ def calibrate(
 
 
 def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = False) -> KeptCalibration:
-    """The calibration of a frame set's file.
+    """Return the calibration of a frame set's file.
 
     cached : take it from the user's cache where it was made before, and keep it there
     paper : as for `calibrate`
@@ -129,7 +129,7 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = 
 
 
 def load_calibration(path: str | Path) -> KeptCalibration:
-    """The calibration in a file that `retrosync calibrate` or `write` made.
+    """Return the calibration in a file that `retrosync calibrate` or `write` made.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def reconstruct(
     force: bool = False,
     out: str | Path | None = None,
 ) -> Result:
-    """The surface that an image shows.
+    """Return the surface that an image shows.
 
     encoding, full_scale : how pixel values encode light; as in calibration when None
     method : by default the one with the smaller held-out error
@@ -217,7 +217,7 @@ def reconstruct_many(
     workers: int | None = None,
     **options: Any,
 ) -> Iterator[Result | HostError | DeviceError]:
-    """The surfaces of many images in order, several at once; in place of one that cannot be used, the error.
+    """Yield the surfaces of many images in order, several at once; in place of one that cannot be used, the error.
 
     workers : images at once; by default as many as there are cores
     options : as of `reconstruct`, without `out`
@@ -244,7 +244,7 @@ def stream(
     method: Method | None = None,
     force: bool = False,
 ) -> HeightStream:
-    """Heights of the frames of a sensor or a recording as they come: iterate over it, in a `with` statement.
+    """Return heights of the frames of a sensor or a recording as they come: iterate over it, in a `with` statement.
 
     source : a board profile's name ("digit"), a camera's number, a movie or folder of frames, or arrays
     frames : "newest" drops those that came while one was solved, as by default of a sensor; "every" solves all
@@ -278,7 +278,7 @@ def stream(
 
 
 def load_result(folder: str | Path) -> Result:
-    """The result in a folder that `retrosync reconstruct` wrote.
+    """Return the result in a folder that `retrosync reconstruct` wrote.
 
     Raises
     ------
@@ -295,7 +295,7 @@ def load_result(folder: str | Path) -> Result:
 
 
 def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
-    """The surface that overlapping presses of one object show together.
+    """Return the surface that overlapping presses of one object show together.
 
     results : folders that `retrosync reconstruct` wrote
     out : folder for the result; `mosaic.json` in it holds every overlap, used or rejected
@@ -326,7 +326,8 @@ def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
 def integrate(
     p: NDArray[Any], q: NDArray[Any], weights: NDArray[Any] | None = None, *, pitch_um: float = 1.0
 ) -> Float32Array:
-    """Heights in µm, float32 array of shape (H, W), whose slopes are p along a row and q down a column, least squares.
+    """Return heights in µm, float32 array of shape (H, W), whose slopes are p along a row and q down a column, least
+    squares.
 
     p, q : shape (H, W), µm/µm; a pixel that is not finite, or masked in a numpy masked array, is a hole
     weights : relative confidence of each pixel; a pixel of weight 0 or without a finite slope is a hole, NaN
@@ -351,7 +352,7 @@ def integrate(
 
 
 def measure(result: Result | str | Path, recipe: str | Path | None = None, **options: object) -> tuple[Quantity, ...]:
-    """Quantities of a surface, each with its uncertainty.
+    """Return quantities of a surface, each with its uncertainty.
 
     result : from `reconstruct`, `load_result` or `mosaic`; or a folder, as `load_result` takes it
     recipe : TOML file of `docs/measurement.md`; without it the default one
@@ -379,7 +380,7 @@ def measure(result: Result | str | Path, recipe: str | Path | None = None, **opt
 
 
 def open_library(folder: str | Path) -> Library:
-    """A library of pulled scans and calibrations; nothing is read yet.
+    """Return a library of pulled scans and calibrations; nothing is read yet.
 
     Raises
     ------

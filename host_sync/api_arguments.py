@@ -53,7 +53,7 @@ def check_calibration(given: object) -> None:
 
 
 def surface_of(result: object) -> ResultSurface:
-    """The surface of a Result or of a result's folder.
+    """Return the surface of a Result or of a result's folder.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def surface_of(result: object) -> ResultSurface:
 
 
 def as_path(name: str, given: object) -> Path:
-    """The path; ArgumentError when it is neither a text nor a path, or an empty text.
+    """Return the path; ArgumentError when it is neither a text nor a path, or an empty text.
 
     name : the argument's
     """
@@ -82,14 +82,14 @@ def as_path(name: str, given: object) -> Path:
 
 
 def as_paths(name: str, given: object) -> list[Path]:
-    """The paths of a list; errors as for `as_path`, and where it is none."""
+    """Return the paths of a list; errors as for `as_path`, and where it is none."""
     if isinstance(given, str | os.PathLike) or not isinstance(given, Iterable):
         raise ArgumentError(f"{name} must be a list of paths, not {type(given).__name__}")
     return [as_path(f"{name}[{i}]", one) for i, one in enumerate(given)]
 
 
 def positive(name: str, given: object, error: type[HostError]) -> float:
-    """The number above zero; `error` when it is none."""
+    """Return the number above zero; `error` when it is none."""
     number = _number(given)
     if math.isfinite(number) and number > 0.0:
         return number
@@ -98,7 +98,7 @@ def positive(name: str, given: object, error: type[HostError]) -> float:
 
 
 def _number(given: Any) -> float:
-    """The number, NaN for anything else; a text is none."""
+    """Return the number, NaN for anything else; a text is none."""
     try:
         return float("nan") if isinstance(given, str | bytes) else float(given)
     except (TypeError, ValueError, OverflowError):
@@ -106,17 +106,17 @@ def _number(given: Any) -> float:
 
 
 def pitch_of(given: object) -> float:
-    """The pixel pitch of slopes, µm; IntegrationError when it is not a number above 0."""
+    """Return the pixel pitch of slopes, µm; IntegrationError when it is not a number above 0."""
     return positive("pitch_um", given, IntegrationError)
 
 
 def height_of(given: object) -> float | None:
-    """The height of the camera's pupil, mm; FrameSetError when it is given and not a number above 0."""
+    """Return the height of the camera's pupil, mm; FrameSetError when it is given and not a number above 0."""
     return None if given is None else positive("pupil_height_mm", given, FrameSetError)
 
 
 def gradient_field(p: object, q: object, weights: object) -> GradientField:
-    """The slopes and their weights as integration takes them, a hole wherever one of them is none.
+    """Return the slopes and their weights as integration takes them, a hole wherever one of them is none.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def gradient_field(p: object, q: object, weights: object) -> GradientField:
 
 
 def _numbers(name: str, given: Any) -> Float32Array:
-    """The array, float32; masked values become NaN (0 where they are weights)."""
+    """Return the array, float32; masked values become NaN (0 where they are weights)."""
     wrong = IntegrationError(f"{name} must be an array of numbers of shape (H, W), not {type(given).__name__}")
     if given is None or isinstance(given, str | bytes | os.PathLike | dict):
         raise wrong
@@ -156,7 +156,7 @@ def _numbers(name: str, given: Any) -> Float32Array:
 
 
 def press_list(presses: object) -> list[Press]:
-    """The presses; ArgumentError where they are no list, FrameSetError where one of them is none."""
+    """Return the presses; ArgumentError where they are no list, FrameSetError where one of them is none."""
     if not isinstance(presses, Iterable):
         raise ArgumentError(f"presses must be a list, [api.Press(...), ...], not {type(presses).__name__}")
     listed = list(presses)
@@ -168,7 +168,7 @@ def press_list(presses: object) -> list[Press]:
 
 
 def pitch_and_shape(given: object) -> tuple[float, float]:
-    """The pitch of square pixels and the shape of the stored ones; FrameSetError where it is none."""
+    """Return the pitch of square pixels and the shape of the stored ones; FrameSetError where it is none."""
     pair = tuple(given) if isinstance(given, tuple | list) else (given,)
     if not 1 <= len(pair) <= 2:
         raise FrameSetError(
@@ -205,7 +205,7 @@ def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, 
 
 
 def press_frame(number: int, press: Press, pixel_pitch_um: float, form: FrameSpec) -> PressFrame:
-    """The press as calibration takes it; FrameSetError when its image or a length is none."""
+    """Return the press as calibration takes it; FrameSetError when its image or a length is none."""
     radius_px = positive("ball_radius_mm", press.ball_radius_mm, FrameSetError) * 1e3 / pixel_pitch_um
     spacing = press.grid_pitch_mm
     grid = None if spacing is None else GridSpacing(positive("grid_pitch_mm", spacing, FrameSetError))
@@ -244,7 +244,7 @@ def _balls(press: str, given: object, radius_px: float) -> tuple[Ball, ...]:
 
 
 def linear_frame(image: Image, form: FrameSpec) -> LinearFrame:
-    """The image as linear light on square pixels; FrameSetError when it is not an image."""
+    """Return the image as linear light on square pixels; FrameSetError when it is not an image."""
     if isinstance(image, np.ndarray):
         return frame_of_values(image, form.encoding, form.full_scale, form.pixel_shape)
     return read_frame(replace(form, images=tuple(Path(path) for path in _paths(image))))
@@ -258,7 +258,7 @@ def stored_shape(image: Image) -> tuple[int, int]:
 
 
 def _paths(image: Any) -> tuple[Any, ...]:
-    """The files of an image; FrameSetError when it names none."""
+    """Return the files of an image; FrameSetError when it names none."""
     paths: tuple[Any, ...] = (image,) if isinstance(image, str | Path) else tuple(image) if _is_series(image) else ()
     if not 1 <= len(paths) <= MAX_LIGHTS or not all(isinstance(path, str | Path) for path in paths):
         raise FrameSetError(
@@ -272,7 +272,7 @@ def _is_series(image: object) -> bool:
 
 
 def check_workers(given: object) -> int:
-    """The number of workers; ArgumentError when it is no whole number above 0."""
+    """Return the number of workers; ArgumentError when it is no whole number above 0."""
     if given is None:
         return os.cpu_count() or 1
     if isinstance(given, int) and given > 0:

@@ -42,7 +42,7 @@ def open_stream(
     source: Any, calibration: KeptCalibration, kept: str | None, sigma: bool, encoding: Encoding | None,
     full_scale: int | None, method: Method | None, force: bool,
 ) -> HeightStream:  # fmt: skip
-    """The stream of a source; arguments as of `host_sync.api.stream`, checked."""
+    """Return the stream of a source; arguments as of `host_sync.api.stream`, checked."""
     solver = FrameSolver.of(calibration, method, encoding, full_scale=full_scale, force=force)
     live = open_live(source, solver, newest=None if kept is None else kept == "newest", sigma=sigma)
     return HeightStream(

@@ -91,7 +91,7 @@ class Result:
         return f"<Result {self.surface.record.name}: {self._facts()}>"
 
     def _repr_html_(self) -> str:
-        """The relief, facts and doubts, as a notebook shows them."""
+        """Return the relief, facts and doubts, as a notebook shows them."""
         from base64 import b64encode
         from html import escape
 
@@ -106,7 +106,7 @@ class Result:
         )
 
     def _facts(self) -> str:
-        """Size, heights, the median ± and the number of doubts."""
+        """Return the size, heights, the median ± and the number of doubts."""
         import numpy as np
 
         (rows, columns), known = self.height_um.shape, self.height_um[np.isfinite(self.height_um)]
@@ -117,7 +117,7 @@ class Result:
         return f"{columns} x {rows} pixels of {self.pitch_um:g} µm, {heights}, {error}, {doubts}"
 
     def to_xarray(self) -> Dataset:
-        """The result as a Dataset of the package xarray; coordinates in µm.
+        """Return the result as a Dataset of the package xarray; coordinates in µm.
 
         Raises
         ------

@@ -20,7 +20,7 @@ _SEPARATOR: Final = re.compile(r'\s*"?sep=', re.IGNORECASE)
 
 
 def read_table(path: Path, error: type[HostError], columns: Sequence[str] = ()) -> list[dict[str, str]]:
-    """Rows of a table with a line of names; empty texts where a row is short, and no row that is blank.
+    """Return rows of a table with a line of names; empty texts where a row is short, and no row that is blank.
 
     Commas, semicolons or tabs separate columns, as the line of names shows, or what a line "sep=|" before it states;
     text is UTF-8, UTF-16, UTF-32 or Windows-1252.
@@ -65,7 +65,8 @@ def _is_blank(line: str) -> bool:
 
 
 def _whole(rows: csv.DictReader[str], lines: Sequence[str]) -> Iterator[dict[str, str]]:
-    """The rows, none of which holds more than names; a decimal comma would else cut a number where commas separate.
+    """Yield the rows, none of which holds more than names; a decimal comma would else cut a number where commas
+    separate.
 
     lines : of the table; a quotation mark that is left open reaches to the last one
     """
@@ -80,7 +81,7 @@ def _whole(rows: csv.DictReader[str], lines: Sequence[str]) -> Iterator[dict[str
 
 
 def number_in(cell: str) -> float:
-    """The number in a cell, with a decimal point or comma; NaN where it is none."""
+    """Return the number in a cell, with a decimal point or comma; NaN where it is none."""
     try:
         return float(cell.replace(",", ".", 1))
     except ValueError:
@@ -88,7 +89,7 @@ def number_in(cell: str) -> float:
 
 
 def table_text(rows: Iterable[Iterable[object]], *, semicolon: bool = False) -> str:
-    """Rows as CSV; None and NaN are empty cells, and no text is taken for a formula.
+    """Return rows as CSV; None and NaN are empty cells, and no text is taken for a formula.
 
     semicolon : separate cells by semicolons and write decimal commas and a byte order mark, for spreadsheets of
         languages with a decimal comma

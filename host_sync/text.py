@@ -10,11 +10,11 @@ NAMED: Final = 3
 
 
 def printable(text: str) -> str:
-    """The text with every control character escaped, so that a record or file name cannot control a terminal."""
+    """Return the text with every control character escaped, so that a record or file name cannot control a terminal."""
     return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
 
 
 def some_of(names: Sequence[str]) -> str:
-    """The first of the names, and how many more there are."""
+    """Return the first of the names, and how many more there are."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

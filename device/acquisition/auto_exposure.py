@@ -108,7 +108,7 @@ class ExposureSearch:
 
 
 def _levels(responses: list[float], plan: CaptureSettings) -> Levels:
-    """Brightest level, R, G, B, that ball presses reach with a plan."""
+    """Return the brightest level, R, G, B, that ball presses reach with a plan."""
     red, green, blue = (
         response * current * plan.settings.exposure_us
         for response, current in zip(responses, plan.currents_ma.values(), strict=True)
@@ -117,7 +117,7 @@ def _levels(responses: list[float], plan: CaptureSettings) -> Levels:
 
 
 def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], None]) -> ExposureBalance:
-    """Exposure and currents for this gel and these lights, from one ball press near each light.
+    """Return the exposure and currents for this gel and these lights, from one ball press near each light.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str
 
 
 def _nearest_place(sensor: SensorConfig, light: LightConfig) -> tuple[float, float]:
-    """The field's point nearest to a light, as fractions of columns and rows."""
+    """Return the field's point nearest to a light, as fractions of columns and rows."""
     fractions = [
         0.5 + position_mm / (size * sensor.pixel_pitch_um * 1e-3)
         for position_mm, size in zip(light.position_mm[:2], (sensor.columns, sensor.rows), strict=True)
@@ -145,7 +145,7 @@ def _nearest_place(sensor: SensorConfig, light: LightConfig) -> tuple[float, flo
 
 
 def _response(hardware: Hardware, plan: CaptureSettings) -> list[float]:
-    """Brightest level of each channel per mA and µs; the light is halved until nothing saturates."""
+    """Return the brightest level of each channel per mA and µs; the light is halved until nothing saturates."""
     for halving in range(MAX_HALVINGS + 1):
         dimmed = _dimmed(hardware, plan, 0.5**halving)
         currents_ma = dimmed.currents_ma
@@ -173,7 +173,7 @@ def _check_lit(currents_ma: Mapping[str, float]) -> None:
 
 
 def _dimmed(hardware: Hardware, plan: CaptureSettings, fraction: float) -> CaptureSettings:
-    """A plan with that fraction of the light: of the currents, or of the exposure where lights are always on."""
+    """Return a plan with that fraction of the light: of the currents, or of the exposure where lights are always on."""
     if not hardware.profile.lights_always_on:
         asked = {name: fraction * current for name, current in plan.currents_ma.items()}
         return CaptureSettings(plan.settings, hardware.lights.granted_ma(asked))
@@ -185,7 +185,8 @@ def _dimmed(hardware: Hardware, plan: CaptureSettings, fraction: float) -> Captu
 def _plan_for_exposure(
     hardware: Hardware, settings: CameraSettings, doses: list[float], longest_us: float
 ) -> CaptureSettings:
-    """Settings that bring the brightest channel to the target level by exposure alone: the lights are always on."""
+    """Return settings that bring the brightest channel to the target level by exposure alone: the lights are always
+    on."""
     currents_ma = hardware.profile.currents_ma
     exposure_us = min(dose / current for dose, current in zip(doses, currents_ma.values(), strict=True))
     step_us = hardware.profile.sensor.exposure_step_us
@@ -198,7 +199,8 @@ def _plan_for_exposure(
 
 
 def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> tuple[CaptureSettings, str]:
-    """Settings that bring every channel to the target level, with the board's exposure unless a current is limited.
+    """Return settings that bring every channel to the target level, with the board's exposure unless a current is
+    limited.
 
     Returns the limit too, one sentence.
     """

@@ -78,7 +78,7 @@ def calibrate(
 
 
 def last_calibration(hardware: Hardware, store: BundleStore, plan: CaptureSettings) -> LastCalibration | None:
-    """The active calibration if it is of this board, gel and lights and can be read; otherwise None."""
+    """Return the active calibration if it is of this board, gel and lights and can be read; otherwise None."""
     with suppress(DeviceError):
         bundle = store.active_calibration()
         record, profile = bundle.record, hardware.profile
@@ -92,7 +92,7 @@ def last_calibration(hardware: Hardware, store: BundleStore, plan: CaptureSettin
 def take_reference(
     hardware: Hardware, plan: CaptureSettings, tell: Callable[[str], None]
 ) -> tuple[RawFrame, CaptureSettings]:
-    """The reference after a check of every light, and the plan that holds presses to the reference's settings.
+    """Return the reference after a check of every light, and the plan that holds presses to the reference's settings.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def publish(
 def _press_records(
     names: Sequence[str], presses: Sequence[AcceptedPress], fit: InverseFit, ball_radius_mm: float
 ) -> list[PressRecord]:
-    """A record per press: kept balls at their refined centres, rejected ones with the reason."""
+    """Return a record per press: kept balls at their refined centres, rejected ones with the reason."""
     records = []
     first = 0
     for name, press in zip(names, presses, strict=True):
@@ -195,7 +195,7 @@ def _press_records(
 
 
 def report_figures(fit: InverseFit) -> dict[str, float | None]:
-    """The figures of a calibration's report, angles in degrees."""
+    """Return the figures of a calibration's report, angles in degrees."""
     figures: dict[str, float | None] = {
         "held_out_error_deg": fit.held_out_deg,
         "steepest_deg": float(np.degrees(np.arctan(fit.map.max_trained_slope))),

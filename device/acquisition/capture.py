@@ -51,14 +51,14 @@ class CaptureSettings:
 
     @classmethod
     def of_board(cls, hardware: Hardware) -> CaptureSettings:
-        """The settings in the board profile."""
+        """Return the settings in the board profile."""
         return cls(hardware.profile.camera.settings, hardware.lights.granted_ma(hardware.profile.currents_ma))
 
     @classmethod
     def of_calibration(
         cls, hardware: Hardware, fingerprint: Fingerprint, asked: SettingsRecord | None = None
     ) -> CaptureSettings:
-        """The settings of a calibration, whose exposure, gain and currents may come from `auto_exposure`.
+        """Return the settings of a calibration, whose exposure, gain and currents may come from `auto_exposure`.
 
         What was granted is not requested again: sensors truncate exposures to whole steps and gains to whole codes, and
         could lose one more. Without a record of what was requested, a quarter of a step is added, and a little of a
@@ -89,12 +89,12 @@ class Capture:
 
 
 def capture(hardware: Hardware, plan: CaptureSettings) -> RawFrame:
-    """A confirmed frame without the light driver's faults. Errors as for `capture_with_faults`."""
+    """Return a confirmed frame without the light driver's faults. Errors as for `capture_with_faults`."""
     return capture_with_faults(hardware, plan).frame
 
 
 def capture_with_faults(hardware: Hardware, plan: CaptureSettings, *, keep_lit: bool = False) -> Capture:
-    """The first frame whose metadata matches the plan; the lights are off again afterwards, unless `keep_lit`.
+    """Return the first frame whose metadata matches the plan; the lights are off again afterwards, unless `keep_lit`.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def capture_with_faults(hardware: Hardware, plan: CaptureSettings, *, keep_lit: 
 
 
 def retry_with_restart(camera: Camera, act: Callable[[], Result]) -> Result:
-    """The result of `act`, retried when the camera delivers nothing; the camera reopens itself on the next call.
+    """Return the result of `act`, retried when the camera delivers nothing; the camera reopens itself on the next call.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _stated_order(frame: RawFrame, sensor: SensorConfig) -> BayerOrder:
 
 
 def _faults(lights: Lights) -> tuple[LightFault, ...] | None:
-    """The driver's faults; a driver that cannot be read does not cost a confirmed frame."""
+    """Return the driver's faults; a driver that cannot be read does not cost a confirmed frame."""
     try:
         return lights.faults()
     except LightError:

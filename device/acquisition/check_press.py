@@ -28,7 +28,7 @@ MAX_PRESSES: Final = 4
 
 
 def calibration_ball_bias(calibration: CalibrationBundle, model: QuickLookModel) -> BallBias | None:
-    """The bias of balls' radius in this calibration's quick looks; None where no press of it can be read."""
+    """Return the bias of balls' radius in this calibration's quick looks; None where no press of it can be read."""
     record = calibration.record
     rows, columns = record.shape
 
@@ -67,7 +67,7 @@ def measure_check(
     *,
     asks: bool = False,
 ) -> CheckMeasure:
-    """The check standard as a press shows it.
+    """Return the check standard as a press shows it.
 
     look : of the press; None if it has none
     evidence : of the press, with the lights as measured since
@@ -109,6 +109,6 @@ def measure_check(
 
 
 def _under_levels(frame: RawFrame, model: QuickLookModel, levels: Levels) -> QuickLook:
-    """The quick look of a frame under lights that have drifted to these levels."""
+    """Return the quick look of a frame under lights that have drifted to these levels."""
     drifted = replace(model, flat_field=model.flat_field * np.asarray(levels, np.float32))
     return quick_look(bin_bayer(frame, model.binning), drifted)

@@ -26,7 +26,7 @@ def with_active_gel(hardware: Hardware, root: Path) -> Hardware:
 
 
 def profile_with_mounted_gel(profile: BoardProfile, root: Path) -> BoardProfile:
-    """The board profile with the mounted gel. Errors as for `with_active_gel`."""
+    """Return the board profile with the mounted gel. Errors as for `with_active_gel`."""
     gel = mounted_gel(root, profile.gel)
     mounted = GelConfig(id=gel.gel_id, slab_thickness_mm=gel.slab_thickness_mm)
     return msgspec.structs.replace(profile, gel=mounted)

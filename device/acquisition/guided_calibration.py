@@ -147,7 +147,7 @@ class GuidedCalibration:
             self._add_press(frame)
 
     def fit(self) -> InverseFit:
-        """The inverse map fitted to the presses; `progress` holds the acceptance checks.
+        """Return the inverse map fitted to the presses; `progress` holds the acceptance checks.
 
         Raises
         ------
@@ -198,7 +198,8 @@ class GuidedCalibration:
         self._ask_next()
 
     def _changed_since(self, reference: LinearFrame) -> str:
-        """A doubt about a reference that differs from the last one: said once, since skin and lights may change."""
+        """Return a doubt about a reference that differs from the last one: said once, since skin and lights may
+        change."""
         if self._last is None or self._last.reference.shape != self._frame_shape(reference) or self._is_warned:
             return ""
         changed = changed_shape(reference, bin_bayer(self._last.reference, BINNING))
@@ -215,7 +216,7 @@ class GuidedCalibration:
         return BINNING * binned.shape[0], BINNING * binned.shape[1]
 
     def _measured_radii(self) -> MeasuredRadii:
-        """The balls' radius as far as it can be measured by now."""
+        """Return the balls' radius as far as it can be measured by now."""
         by_last = None
         if self._last is not None and self._last.reference.shape == self.reference.shape:
             by_last = self._last.inverse_map
@@ -284,7 +285,7 @@ class GuidedCalibration:
 
 
 def describe_place(column_fraction: float, row_fraction: float) -> str:
-    """A place of the field in words."""
+    """Return a place of the field in words."""
     across = ("far left", "left", "right", "far right")[min(int(column_fraction * COLUMNS), COLUMNS - 1)]
     down = ("at the top", "half-way down", "at the bottom")[min(int(row_fraction * ROWS), ROWS - 1)]
     return f"{across}, {down}"
@@ -328,13 +329,13 @@ def read_press(frame: RawFrame, flat_field: Float32Array, radius_mm: float, prof
         reasons = "; ".join(sorted({ball.reason for ball in search.rejected}))
         complaint = f"no usable ball found ({reasons})" if reasons else "no ball found"
         return PressReading(None, (), rejected, complaint)
-    samples = gather_samples([(intensity, search.found)], to_teach=True).enlarged(BINNING)
+    samples = gather_samples([(intensity, search.found)], for_fit=True).enlarged(BINNING)
     shadows = shadow_radii_mm(intensity, search.found, [light.position_mm for light in profile.lights], pitch_mm)
     return PressReading(AcceptedPress(frame, balls, rejected, samples, shadows), balls, rejected, "")
 
 
 def joined_samples(presses: Sequence[AcceptedPress]) -> BallSamples:
-    """The samples of all presses, with balls numbered consecutively."""
+    """Return the samples of all presses, with balls numbered consecutively."""
     first = np.cumsum([0] + [len(press.balls) for press in presses])
     samples = [press.samples for press in presses]
     return BallSamples(
@@ -344,5 +345,5 @@ def joined_samples(presses: Sequence[AcceptedPress]) -> BallSamples:
         column=np.concatenate([part.column for part in samples]),
         row=np.concatenate([part.row for part in samples]),
         ball=np.concatenate([part.ball + offset for part, offset in zip(samples, first[:-1], strict=True)]),
-        quiet=np.concatenate([part.taught for part in samples]),
+        quiet=np.concatenate([part.training_intensity for part in samples]),
     )

@@ -56,7 +56,7 @@ def exclusive_instrument(profile: BoardProfile) -> AbstractContextManager[None]:
 
 
 def lock_path(service_folder: Path = SERVICE_FOLDER) -> Path:
-    """Path of the lock file: in the service's folder if it exists, else in the user's runtime folder.
+    """Return the path of the lock file: in the service's folder if it exists, else in the user's runtime folder.
 
     Raises
     ------

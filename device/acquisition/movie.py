@@ -79,14 +79,14 @@ class Movie:
 
 
 def frames_that_fit(shape: tuple[int, int]) -> int:
-    """Frames of a movie of full-size frames (H, W) that memory has room for, one at least."""
+    """Return frames of a movie of full-size frames (H, W) that memory has room for, one at least."""
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     each = 2 * shape[0] * shape[1] // MOVIE_BINNING**2
     return max(1, min(MAX_MOVIE_FRAMES, int(MEMORY_FRACTION * free) // each))
 
 
 def record_movie(hardware: Hardware, plan: CaptureSettings, watch: Watch) -> tuple[Capture, Movie]:
-    """Frames for `MOVIE_S`, or as many as fit in memory; the lights are off again afterwards.
+    """Return frames for `MOVIE_S`, or as many as fit in memory; the lights are off again afterwards.
 
     The best frame is the one with most contact, less the more it differs from the one before it. The capture is the
     mean of it and of all later frames that did not move against it. Errors as for `capture_with_faults`.
@@ -159,7 +159,7 @@ class FrameMean:
         self.frames += 1
 
     def frame(self) -> RawFrame:
-        """The mean; with one frame that frame itself."""
+        """Return the mean; with one frame that frame itself."""
         first = self._first
         if self.frames == 1:
             return first
@@ -179,16 +179,16 @@ class FrameMean:
 
 
 def smoothed(frame: RawFrame) -> Float32Array:
-    """A small smoothed image of a frame, relative to its brightest parts: float32 array of shape (h, w, 3)."""
+    """Return a small smoothed image of a frame, relative to its brightest parts: float32 array of shape (h, w, 3)."""
     smooth = small_light(frame)
     return smooth / brightest_light(smooth)
 
 
 def small_light(frame: RawFrame) -> Float32Array:
-    """A small smoothed image of a frame, fractions of full scale: float32 array of shape (h, w, 3)."""
+    """Return a small smoothed image of a frame, fractions of full scale: float32 array of shape (h, w, 3)."""
     return box_smoothed(bin_bayer(frame, downsample_step(frame.shape)).rgb)
 
 
 def brightest_light(smooth: Float32Array) -> np.float32:
-    """The 99th percentile of a small image, above zero."""
+    """Return the 99th percentile of a small image, above zero."""
     return np.float32(max(float(np.percentile(smooth, 99)), 1e-6))

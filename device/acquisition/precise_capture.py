@@ -80,7 +80,7 @@ def frames_stored(mode: CaptureMode, lights: int) -> int:
 
 
 def mode_fault(mode: CaptureMode, hardware: Hardware) -> str:
-    """Why presses cannot be taken in this mode with this hardware; empty if they can."""
+    """Return why presses cannot be taken in this mode with this hardware; empty if they can."""
     if mode == "lights" and hardware.profile.lights_always_on:
         return "the lights of this sensor are always on, so that no light can be seen alone: use single or average"
     if mode == "movie" and not can_bin(hardware.camera.shape):
@@ -91,7 +91,7 @@ def mode_fault(mode: CaptureMode, hardware: Hardware) -> str:
 def capture_precisely(
     hardware: Hardware, plan: CaptureSettings, mode: CaptureMode, watch: Watch | None = None
 ) -> PreciseCapture:
-    """One press by this mode; the lights are off again afterwards. Errors as for `capture_with_faults`.
+    """Return one press by this mode; the lights are off again afterwards. Errors as for `capture_with_faults`.
 
     watch : what the guide measures in a frame of a movie; None: nothing
 
@@ -137,7 +137,7 @@ def _together(alone: dict[str, RawFrame], dark: RawFrame, lit: RawFrame) -> floa
 
 
 def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
-    """The average of the confirmed frames that are complete within `AVERAGE_S`."""
+    """Return the average of the confirmed frames that are complete within `AVERAGE_S`."""
     first = capture_with_faults(hardware, plan, keep_lit=True)
     camera, step_us = hardware.camera, hardware.profile.sensor.exposure_step_us
     until_ns = first.frame.sensor_timestamp_ns + round(AVERAGE_S * 1e9)
@@ -158,7 +158,7 @@ def _averaged(hardware: Hardware, plan: CaptureSettings) -> PreciseCapture:
 
 
 def with_ambient_share(verdict: VerdictRecord, precise: PreciseCapture) -> VerdictRecord:
-    """The verdict with the measured ambient light among its figures."""
+    """Return the verdict with the measured ambient light among its figures."""
     if precise.dark is None:
         return verdict
     figures = verdict.figures | {"ambient_share": ambient_fraction(precise.dark)}

@@ -82,7 +82,7 @@ class ScanHealth:
         return self._shares is not None
 
     def light_change_since(self, at_ns: int) -> dict[str, float | None]:
-        """Relative change of each light, measured on untouched skin after that time (ns); None without one."""
+        """Return relative change of each light, measured on untouched skin after that time (ns); None without one."""
         return self._by_name(self._drift.changes_since(at_ns))
 
     @property
@@ -147,7 +147,7 @@ class ScanHealth:
         return ZeroCheck(flat_um, (red, green, blue), region.pattern, float(defects.mean()))
 
     def measure_press(self, frame: RawFrame) -> PressMeasure:
-        """Contact and depth in a frame, as the guide measures them."""
+        """Return contact and depth in a frame, as the guide measures them."""
         return measure_frame(frame, self.guide_model, self.channel_levels)
 
     def context_of_scan(
@@ -172,7 +172,7 @@ class ScanHealth:
         )
 
     def _lights_of_scan(self, intensity: NormalizedImage | None, region: UntouchedRegion | None) -> Levels | None:
-        """Levels of the lights that a scan's own frame proves; None if it does not."""
+        """Return levels of the lights that a scan's own frame proves; None if it does not."""
         if intensity is None or self._shares is None:
             return None
         if region is not None and region.is_whole and not region.is_tilt:
@@ -180,7 +180,8 @@ class ScanHealth:
         return self._reference.lights_beside_press(intensity, self._shares)
 
     def _drifted(self) -> Levels | None:
-        """The last measured changes if a light was off by too much: it is taken to be so until skin shows otherwise."""
+        """Return the last measured changes if a light was off by too much: it is taken to be so until skin shows
+        otherwise."""
         changes = self._drift.changes
         return changes if changes and max(abs(change) for change in changes) > LIGHT_DRIFTED else None
 
@@ -192,7 +193,7 @@ class ScanHealth:
         return flat_field_correct(bin_bayer(frame, self._model.binning), self._model.flat_field)
 
     def _count_press(self) -> int | None:
-        """Presses of this gel including this one; a count that cannot be stored must not cost a scan."""
+        """Return presses of this gel including this one; a count that cannot be stored must not cost a scan."""
         try:
             return count_gel_press(self._root, self._profile.gel).presses
         except DeviceError:

@@ -148,7 +148,7 @@ class Scanner:
         return self._model
 
     def scans_left(self, mode: CaptureMode = "single") -> int:
-        """Number of scans of this mode that still fit on the disk.
+        """Return the number of scans of this mode that still fit on the disk.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Scanner:
         return self._store.scans_left(self._bytes_per_scan(mode))
 
     def scans_promised(self, mode: CaptureMode = "single") -> int:
-        """Number of scans that fit now or, if none, once a press has made room; nothing is removed.
+        """Return the number of scans that fit now or, if none, once a press has made room; nothing is removed.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class Scanner:
         return self.scans_left(mode) or self._store.scans_left_after_removal(self._bytes_per_scan(mode))
 
     def check_room(self, mode: CaptureMode = "single") -> int:
-        """Number of scans that still fit; if none, room is made as `BundleStore.make_room` does.
+        """Return the number of scans that still fit; if none, room is made as `BundleStore.make_room` does.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class Scanner:
         return RawCapture(captured, self._hardware.power.read())
 
     def assess(self, press: RawCapture) -> Assessment:
-        """The quick look of a press and the evidence for its verdict."""
+        """Return the quick look of a press and the evidence for its verdict."""
         lit = press.lit
         binned = bin_bayer(lit, self._model.binning)
         look, fault = None, ""
@@ -315,12 +315,12 @@ class Scanner:
         return ScanOutcome(self._store.publish_scan(record, write), look, assessed.fault)
 
     def last_check(self) -> CheckRecord | None:
-        """The last check with this calibration; of several standards one whose last check failed."""
+        """Return the last check with this calibration; of several standards one whose last check failed."""
         mine = (one for one in read_checks(self._store.root) if one.calibration_id == self._calibration.calibration_id)
         return last_of_standards(mine)
 
     def _levels(self, evidence: Evidence) -> Levels:
-        """Intensity of untouched skin in R, G and B at a press: as measured, or as its border shows it."""
+        """Return the intensity of untouched skin in R, G and B at a press: as measured, or as its border shows it."""
         changes = evidence.known.light_change
         if None not in changes.values() or evidence.border is None:
             return self.health.channel_levels

@@ -41,7 +41,7 @@ class SdNotify:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> Self:
-        """The service manager that started this process, from its environment variables."""
+        """Return the service manager that started this process, from its environment variables."""
         address = environment.get("NOTIFY_SOCKET") or None
         microseconds = environment.get("WATCHDOG_USEC", "")
         is_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())

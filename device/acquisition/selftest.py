@@ -93,7 +93,7 @@ def check_light_visible(hardware: Hardware, plan: CaptureSettings, light: LightC
 
 
 def _tested(part: str, test: Callable[[], Finding]) -> Finding:
-    """The finding of a test; an error becomes a failed part."""
+    """Return the finding of a test; an error becomes a failed part."""
     try:
         return test()
     except (HalError, DeviceError) as error:
@@ -162,7 +162,7 @@ def _camera(hardware: Hardware, held: ExitStack) -> Finding:
 
 
 def _seen_lights(hardware: Hardware) -> Iterator[Finding]:
-    """The dark frame, then each light alone; of lights that are always on, each channel."""
+    """Yield the dark frame, then each light alone; of lights that are always on, each channel."""
     if hardware.profile.lights_always_on:
         yield Finding("darkness", "skipped", "the lights of this sensor are always on")
         yield from (
@@ -185,7 +185,7 @@ def _seen_lights(hardware: Hardware) -> Iterator[Finding]:
 
 
 def _light(hardware: Hardware, light: LightConfig, dark: Levels) -> Finding:
-    """One light alone: whether it is visible, its colour, and the driver's flags."""
+    """Return one light alone: whether it is visible, its colour, and the driver's flags."""
     part = f"light {light.name}"
     levels = _levels(hardware, {light.name: light.current_ma})
     risen = [lit - unlit for lit, unlit in zip(levels, dark, strict=True)]
@@ -204,7 +204,7 @@ def _light(hardware: Hardware, light: LightConfig, dark: Levels) -> Finding:
 
 
 def _channel(hardware: Hardware, light: LightConfig) -> Finding:
-    """One light by its channel, while all shine."""
+    """Return one light by its channel, while all shine."""
     level = _levels(hardware, hardware.profile.currents_ma)["RGB".index(light.colour)]
     if level < MIN_LEVEL:
         return Finding(f"light {light.name}", "failed", "not visible to the camera: check the sensor's cable and gel")
@@ -212,14 +212,14 @@ def _channel(hardware: Hardware, light: LightConfig) -> Finding:
 
 
 def _levels(hardware: Hardware, currents_ma: dict[str, float]) -> Levels:
-    """Median levels of a frame under these currents (mA)."""
+    """Return the median levels of a frame under these currents (mA)."""
     settings = hardware.profile.camera.settings
     plan = CaptureSettings(settings, hardware.lights.granted_ma(currents_ma))
     return channel_levels(capture(hardware, plan), 50.0)
 
 
 def _flags_of(hardware: Hardware, light: LightConfig) -> str:
-    """The driver's flags for one light while it is on, such as "open"."""
+    """Return the driver's flags for one light while it is on, such as "open"."""
     lights = hardware.lights
     lights.switch_on(lights.granted_ma({light.name: light.current_ma}))
     try:

@@ -44,7 +44,7 @@ MIN_RADIUS_PX: Final = 4.0
 """The slopes of a smaller ball change too much from pixel to pixel."""
 
 MIN_CONTACT_ALONE: Final = 0.28
-"""A press that shows nothing wider may teach from a contact this narrow: up to 16 degrees, at its place."""
+"""A press that shows nothing wider may be fitted from a contact this narrow: up to 16 degrees, at its place."""
 
 SHALLOW: Final = (0.8, 0.64, 0.5, 0.4, 0.32)
 """Fractions of the radius in which a press is searched again that shows no ball: rings and patches of the size of the
@@ -61,7 +61,7 @@ SYMMETRIC: Final = 0.15
 """Share of the shading's energy that may break the rotational symmetry inside the contact."""
 
 MAX_SETTING: Final = 0.5
-"""Second harmonic over the first, along its crest, of a lamp that lights less than half of a ring."""
+"""Second harmonic over the first, along its crest, of a light that reaches less than half of a ring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,8 @@ def check_radius(radius_px: float, shape: tuple[int, int], name: str) -> None:
 
 
 def fits(radius_px: float, shape: tuple[int, int]) -> bool:
-    """Whether the least contact that is sought fits into a frame of `shape` (H, W): a lens may be too wide for it."""
+    """Return True if the least contact that is sought fits into a frame of `shape` (H, W): a lens may be too wide for
+    it."""
     return 2.0 * MIN_CONTACT * radius_px <= min(shape)
 
 
@@ -113,7 +114,7 @@ def find_balls(
     name: str = "the press",
     shallow: Sequence[float] = (),
 ) -> BallSearch:
-    """Balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too.
+    """Return balls of radius `radius_px` in a press, with centre and trusted contact; none is an answer too.
 
     expected : (column, row) of places to look at, whether a ball is suspected there or not
     name : of the press, for errors
@@ -149,7 +150,8 @@ def find_balls(
 def _find_shallow(
     image: NormalizedImage, radius_px: float, whole: Sequence[_Sighting], fractions: Sequence[float]
 ) -> list[Ball]:
-    """The only ball of a press, if its contact is what a ball of one of these fractions of the radius would have.
+    """Return the only ball of a press, if its contact is what a ball of one of these fractions of the radius would
+    have.
 
     whole : what is seen in rings of the whole radius
     """
@@ -196,7 +198,7 @@ class _Sighting:
 
 
 def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]]) -> list[_Sighting]:
-    """Every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
+    """Return every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
     coarse = reduce_intensity(image, radius_px / CANDIDATE_RADIUS_PX)
     fine = reduce_intensity(image, radius_px / REFINE_RADIUS_PX)
     reduced_radius = radius_px / fine.columns_per_pixel
@@ -216,7 +218,8 @@ def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[flo
 
 
 def _alone(sightings: Sequence[_Sighting], shape: tuple[int, int], radius_px: float) -> int | None:
-    """The only ball of a press, if its contact is narrow or runs over the frame's border but is good where it is seen.
+    """Return the only ball of a press, if its contact is narrow or runs over the frame's border but is good where it is
+    seen.
 
     A contact ends at the last ring of which enough is seen (`SEEN_SHARE`). Where several could be meant, none counts.
     """
@@ -225,7 +228,7 @@ def _alone(sightings: Sequence[_Sighting], shape: tuple[int, int], radius_px: fl
 
 
 def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alone: bool = False) -> str:
-    """Why a ball cannot be used for training; empty when it can.
+    """Return why a ball cannot be used for training; empty when it can.
 
     alone : whether its press shows no other
     """
@@ -244,9 +247,9 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
 
 
 def _energies(rings: RadialProfiles, contact: float) -> tuple[float, float]:
-    """Energy of the shading inside the contact that no sphere under lamps can show, and of the other.
+    """Return the energy of the shading inside the contact that no sphere can show, and of the other.
 
-    A lamp's image on a sphere is symmetric about the lamp's direction. A lamp that sets on the far side, or that
+    A light's image on a sphere is symmetric about its direction. A light that sets on the far side, or that
     shines, adds a second harmonic whose crest lies where the first has its own: 0.42 of it when half the ring is dark.
     That part counts as even.
     """
@@ -292,7 +295,7 @@ MIN_COMPANY: Final = 6
 
 
 def find_contact(rings: RadialProfiles) -> float:
-    """Share of the ball's radius inside which the skin follows the sphere, 0 when no ramp is seen."""
+    """Return the share of the ball's radius inside which the skin follows the sphere, 0 when no ramp is seen."""
     return LIFT_MARGIN * _fall(np.asarray(CONTACT_RINGS), ramp_profile(rings), RAMP_KEPT)
 
 
@@ -305,7 +308,8 @@ def ramp_profile(rings: RadialProfiles) -> Float64Array:
 
 
 def find_contact_radius(profiles: Sequence[Float64Array]) -> Float64Array:
-    """Share of the radius at which each ball of a frame leaves the frame's common ramp, shape (number of balls,).
+    """Return the share of the radius at which each ball of a frame leaves the frame's common ramp, shape (number of
+    balls,).
 
     The common ramp is the upper quartile over the balls; infinite where a ball never leaves it or the balls are few.
     """
@@ -322,7 +326,7 @@ def find_contact_radius(profiles: Sequence[Float64Array]) -> Float64Array:
 
 
 def _fall(distance: Float64Array, ramp: Float64Array, level: float) -> float:
-    """Distance at which the ramp first falls below a level; its last seen ring when it never does."""
+    """Return the distance at which the ramp first falls below a level; its last seen ring when it never does."""
     seen = np.isfinite(ramp)
     distance, ramp = distance[seen], ramp[seen]
     below = np.nonzero((ramp < level) & (distance > APEX_RINGS))[0]

@@ -29,11 +29,11 @@ APEX_PATCH: Final = 0.45
 """Radius of the patch in which intensity is interpolated to the apex, share of the ball's radius."""
 
 BENT_PATCH: Final = 0.15
-"""... where a lamp sets near the apex, so that its shading has a bend there ..."""
+"""... where a light sets near the apex, so that its shading has a bend there ..."""
 
 MAX_BEND: Final = 2.3
-"""... which is where a cubic leaves so much more of the wide patch than of the small one: 1.0 to 1.2 under the lamps of
-makers' devices, 2 with a coat that shines, 2.5 to 4 where a lamp lights the untouched skin hardly or not at all."""
+"""... which is where a cubic leaves this much more of the wide than of the small patch: 1.0 to 1.2 under the lights of
+makers' devices, 2 with a coat that shines, 2.5 to 4 where a light hardly reaches the untouched skin."""
 
 COMMON_DOUBT: Final = 0.028
 """Doubt of the apex, share of the radius, at which the balls' common way to it is gone half."""
@@ -82,7 +82,7 @@ class RadialProfiles:
 def sample_radial_profiles(
     reduced: ReducedIntensity, centre: Float64Array, radius_px: float, distance: Float64Array
 ) -> RadialProfiles:
-    """Harmonics along rings around a centre (column, row); position and radius in reduced pixels."""
+    """Return harmonics along rings around a centre (column, row); position and radius in reduced pixels."""
     angle = np.arange(ANGLES) * (2.0 * np.pi / ANGLES)
     at_column = (centre[0] + radius_px * distance[:, None] * np.cos(angle)).astype(np.float32)
     at_row = (centre[1] + radius_px * distance[:, None] * np.sin(angle)).astype(np.float32)
@@ -103,14 +103,14 @@ def sample_radial_profiles(
 
 
 def find_circle(reduced: ReducedIntensity, column: float, row: float, radius_px: float) -> Float64Array:
-    """Centre of rotational symmetry near (column, row), no further than a radius away; in reduced pixels."""
+    """Return the centre of rotational symmetry near (column, row), no further than a radius away; in reduced pixels."""
     start = np.array([column, row])
     found = _follow(lambda at: _circle_step(reduced, at, radius_px), start, radius_px)
     return found if float(np.hypot(*(found - start))) < MAX_SHIFT * radius_px else start
 
 
 def find_apex(reduced: ReducedIntensity, circle: Float64Array, radius_px: float) -> Float64Array:
-    """Where the skin is flat near the centre of symmetry, no further than a radius away; in reduced pixels."""
+    """Return where the skin is flat near the centre of symmetry, no further than a radius away; in reduced pixels."""
     found = _follow(lambda at: _apex_step(reduced, at, radius_px, APEX_PATCH), circle, radius_px)
     if _is_bent(reduced, found, radius_px):
         found = _follow(lambda at: _apex_step(reduced, at, radius_px, BENT_PATCH), found, radius_px)
@@ -120,7 +120,8 @@ def find_apex(reduced: ReducedIntensity, circle: Float64Array, radius_px: float)
 def join_centres(
     reduced: ReducedIntensity, circles: Float64Array, apexes: Float64Array, radius_px: float
 ) -> Float64Array:
-    """Centres of a frame's balls from both readings, float64 array of shape (number of balls, 2), in reduced pixels.
+    """Return centres of a frame's balls from both readings, float64 array of shape (number of balls, 2), in reduced
+    pixels.
 
     The way from circles to apexes is split into the part common to all balls and each ball's own, because one uneven
     spot under a ball spoils its own apex long before it spoils the common one.
@@ -137,12 +138,12 @@ def join_centres(
 
 
 def _trust(doubt: float, limit: float) -> float:
-    """Weight of a reading that may be off by `doubt`: near 1 well under the limit, near 0 well above."""
+    """Return the weight of a reading that may be off by `doubt`: near 1 well under the limit, near 0 well above."""
     return 1.0 / (1.0 + (doubt / limit) ** 8)
 
 
 def _apex_doubt(reduced: ReducedIntensity, circles: Float64Array, radius_px: float) -> float:
-    """How far an apex may be off, share of the radius: unevenness of the frame's flat skin over the balls' ramp.
+    """Return how far an apex may be off, share of the radius: unevenness of the frame's flat skin over the balls' ramp.
 
     Unevenness is a lower quartile of colour, averaged over patches: what is common to the channels is a light's drift.
     """
@@ -156,7 +157,7 @@ def _apex_doubt(reduced: ReducedIntensity, circles: Float64Array, radius_px: flo
 
 
 def _follow(step: Callable[[Float64Array], Float64Array], start: Float64Array, radius_px: float) -> Float64Array:
-    """Where repeated steps come to rest, each held to a share of the radius."""
+    """Return where repeated steps come to rest, each held to a share of the radius."""
     at = start.astype(np.float64)
     for _ in range(STEPS):
         move = step(at)
@@ -168,7 +169,8 @@ def _follow(step: Callable[[Float64Array], Float64Array], start: Float64Array, r
 
 
 def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
-    """Shift that cancels the second harmonic over all rings: moving the origin adds (f' - f / distance) / 2 to it."""
+    """Return the shift that cancels the second harmonic over all rings: moving the origin adds (f' - f / distance) / 2
+    to it."""
     distance = np.arange(RING_INNER, RING_OUTER, 1.0 / 14.0)
     rings = sample_radial_profiles(reduced, at, radius_px, distance)
     bend = np.gradient(rings.first, distance, axis=0) - rings.first / distance[:, None]
@@ -179,7 +181,7 @@ def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) 
 
 
 def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float, patch: float) -> Float64Array:
-    """Shift to where the patch's cubic fit reads 1 in every channel, but for a common brightening."""
+    """Return the shift to where the patch's cubic fit reads 1 in every channel, but for a common brightening."""
     fit, _ = _fit_cubic(reduced, at, radius_px, patch)
     system = np.zeros((4, 3))
     system[:3, :2], system[:3, 2], system[3, 2] = fit[1:3].T, -1.0, 1.0
@@ -188,7 +190,8 @@ def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float, pa
 
 
 def _is_bent(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> bool:
-    """Whether no cubic follows the shading near an apex: it leaves much more of a wide patch than of a small one."""
+    """Return True if no cubic follows the shading near an apex: it leaves much more of a wide patch than of a small
+    one."""
     (_, wide), (_, small) = (_fit_cubic(reduced, at, radius_px, patch) for patch in (APEX_PATCH, BENT_PATCH))
     return wide > MAX_BEND * small
 
@@ -250,7 +253,7 @@ class ReducedIntensity:
     rows_per_pixel: float
 
     def to_full(self, column: float, row: float) -> tuple[float, float]:
-        """Full-size (column, row) of a reduced position."""
+        """Return full-size (column, row) of a reduced position."""
         return (column + 0.5) * self.columns_per_pixel - 0.5, (row + 0.5) * self.rows_per_pixel - 0.5
 
     def from_full(self, column: float, row: float) -> tuple[float, float]:
@@ -268,7 +271,7 @@ class Candidate:
 
 
 def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
-    """The image reduced by about `factor` (no enlargement), invalid pixels weighed zero."""
+    """Return the image reduced by about `factor` (no enlargement), invalid pixels weighed zero."""
     rows, columns = image.shape
     factor = max(factor, 1.0)
     size = (max(round(columns / factor), 1), max(round(rows / factor), 1))
@@ -279,7 +282,7 @@ def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
 
 
 def find_candidates(reduced: ReducedIntensity, radius_px: float) -> list[Candidate]:
-    """Candidates, best first, at least one `radius_px` (in reduced pixels) apart."""
+    """Return candidates, best first, at least one `radius_px` (in reduced pixels) apart."""
     score = _ramp_score(reduced.deviation, radius_px)
     reach = max(int(radius_px), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
@@ -291,7 +294,7 @@ def find_candidates(reduced: ReducedIntensity, radius_px: float) -> list[Candida
 
 
 def _ramp_score(deviation: Float32Array, radius_px: float) -> Float32Array:
-    """Fraction of each patch's deviation that ramps in two independent directions explain, shape (h, w)."""
+    """Return the fraction of each patch's deviation that ramps in two independent directions explain, shape (h, w)."""
     basis, disc = _patch_basis(PATCH * radius_px)
     area = float(disc.sum())
     gram: Float64Array = np.einsum("kyx,lyx,yx->kl", basis, basis, disc)
@@ -316,7 +319,8 @@ def _ramp_score(deviation: Float32Array, radius_px: float) -> Float32Array:
 
 
 def _patch_basis(radius_px: float) -> tuple[Float64Array, Float64Array]:
-    """Polynomials 1, x, y, x², xy, y² of shape (6, k, k) in units of the radius, and the soft disc of shape (k, k)."""
+    """Return polynomials 1, x, y, x², xy, y² of shape (6, k, k) in units of the radius, and the soft disc of shape (k,
+    k)."""
     reach = int(np.ceil(radius_px + 0.5))
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius_px
     disc = np.clip((1.0 - np.hypot(row, column)) * radius_px + 0.5, 0.0, 1.0)
@@ -325,6 +329,6 @@ def _patch_basis(radius_px: float) -> tuple[Float64Array, Float64Array]:
 
 
 def _correlate(plane: Float32Array, kernel: Float64Array) -> Float64Array:
-    """Correlation with a small kernel, borders repeated, float64 array of the plane's shape."""
+    """Return the correlation with a small kernel, borders repeated, float64 array of the plane's shape."""
     found = cv2.filter2D(plane, cv2.CV_32F, kernel.astype(np.float32), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(found, np.float64)

@@ -44,11 +44,11 @@ class Ball:
 
     @property
     def seen_larger(self) -> float:
-        """How many times as large as untouched skin a camera sees the skin at its apex."""
+        """Magnification of the skin at its apex in the camera's image, relative to untouched skin."""
         return 1.0 if self.viewpoint is None else 1.0 / (1.0 - self.apex_px / self.viewpoint.height_px)
 
     def enlarged(self, factor: float) -> Ball:
-        """The same ball in a frame with `factor` times as many pixels in each direction."""
+        """Return the same ball in a frame with `factor` times as many pixels in each direction."""
         column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))
         viewpoint = self.viewpoint and self.viewpoint.enlarged(factor)
         contact_px, radius_px, apex_px = (
@@ -77,8 +77,8 @@ class BallSamples:
     quiet: Float32Array | None = None
 
     @property
-    def taught(self) -> Float32Array:
-        """What maps are taught with: intensity with its noise averaged where that was done."""
+    def training_intensity(self) -> Float32Array:
+        """Intensity that maps are fitted to, with its noise averaged where that was done."""
         return self.intensity if self.quiet is None else self.quiet
 
     def select(self, rows: NDArray[np.intp]) -> BallSamples:
@@ -94,13 +94,13 @@ class BallSamples:
         )
 
     def enlarged(self, factor: float) -> BallSamples:
-        """The same samples at their places in a frame with `factor` times as many pixels in each direction."""
+        """Return the same samples at their places in a frame with `factor` times as many pixels in each direction."""
         column, row = (np.asarray(factor * (place + 0.5) - 0.5, np.float32) for place in (self.column, self.row))
         return replace(self, column=column, row=row)
 
 
 def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Slopes (p, q) of the sphere that pixels inside it see, arrays of the shape of `column`."""
+    """Return slopes (p, q) of the sphere that pixels inside it see, arrays of the shape of `column`."""
     across, down = column - np.float32(ball.column), row - np.float32(ball.row)
     if ball.viewpoint is not None:
         pixel = np.stack([column, row]).astype(np.float64)
@@ -110,10 +110,10 @@ def sphere_slopes(ball: Ball, column: Float32Array, row: Float32Array) -> tuple[
     return (-across / height).astype(np.float32), (-down / height).astype(np.float32)
 
 
-def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]], *, to_teach: bool = False) -> BallSamples:
-    """Samples of every faithful pixel inside the contact of every ball of every press, in order.
+def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]], *, for_fit: bool = False) -> BallSamples:
+    """Return samples of every faithful pixel inside the contact of every ball of every press, in order.
 
-    to_teach : average their noise too, for a map that they are to teach
+    for_fit : average their noise too, for a map that is fitted to them
 
     Raises
     ------
@@ -130,18 +130,18 @@ def gather_samples(presses: Iterable[tuple[NormalizedImage, Sequence[Ball]]], *,
             row, column = row[faithful], column[faithful]
             slopes = sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32))
             seen = image.values[row, column]
-            quiet = quiet_intensity(seen, row, column, ball.contact_radius_px) if to_teach else seen
+            quiet = quiet_intensity(seen, row, column, ball.contact_radius_px) if for_fit else seen
             parts.append((seen, *slopes, column.astype(np.float32), row.astype(np.float32), quiet))
             owners.append(np.full(column.size, number))
             number += 1
     if not parts:
         raise CalibrationError("no ball was found in any calibration press: press a ball of known radius and try again")
     intensity, p, q, columns, rows, quiet = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners), quiet if to_teach else None)
+    return BallSamples(intensity, p, q, columns, rows, np.concatenate(owners), quiet if for_fit else None)
 
 
 def pixels_inside(ball: Ball, shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the pixels inside a ball's contact that a frame of `shape` (H, W) holds."""
+    """Return rows and columns of the pixels inside a ball's contact that a frame of `shape` (H, W) holds."""
     rows, columns = shape
     reach = int(np.ceil(ball.contact_radius_px)) + 1
     top, left = max(int(ball.row) - reach, 0), max(int(ball.column) - reach, 0)
@@ -180,7 +180,7 @@ MIN_PIXELS_PER_TERM: Final = 10
 def quiet_intensity(
     intensity: Float32Array, row: NDArray[np.intp], column: NDArray[np.intp], contact_radius_px: float
 ) -> Float32Array:
-    """Intensities of a ball's pixels with their noise averaged, float32 array of shape (N, 3).
+    """Return intensities of a ball's pixels with their noise averaged, float32 array of shape (N, 3).
 
     intensity : float32 array of shape (N, 3), as seen
     row, column : int arrays of shape (N,), each pixel once
@@ -205,7 +205,7 @@ def quiet_intensity(
 def _averaged(
     left: Float64Array, weight: Float64Array, row: NDArray[np.intp], column: NDArray[np.intp], sigma_px: float
 ) -> Float64Array:
-    """Weighted means of values (N, 3) over neighbours that are there."""
+    """Return the weighted means of values (N, 3) over neighbours that are there."""
     here = row - row.min(), column - column.min()
     size = int(here[0].max()) + 1, int(here[1].max()) + 1
     values, known = np.zeros((*size, left.shape[1]), np.float32), np.zeros(size, np.float32)

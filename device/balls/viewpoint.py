@@ -1,4 +1,4 @@
-"""What a camera that is not far away makes of a sphere: raised skin is seen larger, and farther from the middle.
+"""Image of a sphere in a camera nearby: raised skin is seen larger, and farther from the middle.
 
 A pixel's ray meets skin at the elevation z where it leans by z / height towards the middle of the field.
 """
@@ -21,7 +21,7 @@ ROUNDS: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """Where a camera looks straight down from, pixels of untouched skin.
+    """Position of a camera that looks straight down, pixels of untouched skin.
 
     column, row : the place below it
     height_px : its height over untouched skin, as rays inside the gel see it
@@ -38,7 +38,7 @@ class Viewpoint:
         return cls(0.5 * (columns - 1), 0.5 * (rows - 1), height_mm * 1e3 / pitch_um)
 
     def enlarged(self, factor: float) -> Viewpoint:
-        """The same over a frame with `factor` times as many pixels in each direction."""
+        """Return the same over a frame with `factor` times as many pixels in each direction."""
         column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))
         return Viewpoint(column, row, factor * self.height_px)
 
@@ -49,7 +49,7 @@ class Viewpoint:
         radius_px: Float64Array | float,
         apex_px: Float64Array | float,
     ) -> Float64Array:
-        """Where pixels (2, ...) inside spheres see them: right and down of each one's axis, shape (2, ...).
+        """Return where pixels (2, ...) inside spheres see them: right and down of each one's axis, shape (2, ...).
 
         pixel : column and row
         centre : column and row at which the sphere's apex is seen; it broadcasts with `pixel`

@@ -62,7 +62,7 @@ class Bundle(Generic[ManifestT]):
         return self.record.identity.id
 
     def path(self, name: str) -> Path:
-        """Path of a file of the bundle.
+        """Return the path of a file of the bundle.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class Bundle(Generic[ManifestT]):
         verify_files(self.directory, self.record.files)
 
     def _frame(self, name: str) -> RawFrame:
-        """A raw frame of the bundle, read from disk.
+        """Return a raw frame of the bundle, read from disk.
 
         Raises
         ------
@@ -120,7 +120,7 @@ def check_files(record: Manifest, source: str | Path) -> None:
 
 
 def read_record(directory: Path, manifest: str, decode: Callable[[bytes, Path], ManifestT]) -> ManifestT:
-    """The record of the bundle in a directory; its manifest is checked, its other files are not read.
+    """Return the record of the bundle in a directory; its manifest is checked, its other files are not read.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class BallRecord(Record, frozen=True):
 
     @classmethod
     def of(cls, ball: Ball) -> BallRecord:
-        """The ball as a record."""
+        """Return the ball as a record."""
         return cls(column=ball.column, row=ball.row, contact_radius_px=ball.contact_radius_px, radius_px=ball.radius_px)
 
     @property
@@ -120,21 +120,22 @@ class CalibrationBundle(Bundle[CalibrationRecord]):
         return self.bundle_id
 
     def reference(self) -> RawFrame:
-        """The frame of the untouched skin, read from disk. Errors as for `read_bundle_frame`."""
+        """Return the frame of the untouched skin, read from disk. Errors as for `read_bundle_frame`."""
         return self._frame(self.record.reference_file)
 
     def press_frame(self, press: PressRecord) -> RawFrame:
-        """The frame of one of the record's presses, read from disk. Errors as for `read_bundle_frame`."""
+        """Return the frame of one of the record's presses, read from disk. Errors as for `read_bundle_frame`."""
         return self._frame(press.file)
 
 
 def decode_calibration(data: bytes, source: str | Path) -> CalibrationRecord:
-    """The calibration record in a manifest's bytes; `source` names it in errors, which are those of `decode_scan`."""
+    """Return the calibration record in a manifest's bytes; `source` names it in errors, which are those of
+    `decode_scan`."""
     record = decode_record(data, CalibrationRecord, source)
     check_files(record, source)
     return record
 
 
 def read_calibration(directory: Path) -> CalibrationBundle:
-    """The calibration bundle in a directory, only its manifest read and checked. Errors as for `read_record`."""
+    """Return the calibration bundle in a directory, only its manifest read and checked. Errors as for `read_record`."""
     return CalibrationBundle(directory, read_record(directory, CALIBRATION_MANIFEST, decode_calibration))

@@ -24,7 +24,8 @@ COMMON_RADII_UM: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0
 
 
 def look_alike_um(value_um: float, limit_um: float, measured_um: float) -> float | None:
-    """Radius of the common ball that a reading shows instead of the certified one, µm; None where that is not clear.
+    """Return the radius of the common ball that a reading shows instead of the certified one, µm; None where that is
+    not clear.
 
     limit_um : allowed deviation from the certified radius `value_um`
     """
@@ -120,7 +121,8 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
 
 def doubt_of_checks(counter: int, checks: Iterable[CheckRecord]) -> CheckRecord | None:
-    """The failed check that makes a scan doubtful: of any standard the next one after it, or the last one before it.
+    """Return the failed check that makes a scan doubtful: of any standard the next one after it, or the last one before
+    it.
 
     A check that passed clears its own standard's failures only, and is not doubtful itself by that standard.
 
@@ -132,14 +134,14 @@ def doubt_of_checks(counter: int, checks: Iterable[CheckRecord]) -> CheckRecord 
 
 
 def last_of_standards(checks: Iterable[CheckRecord]) -> CheckRecord | None:
-    """The last check of a standard whose last check failed; without one the last check of all."""
+    """Return the last check of a standard whose last check failed; without one the last check of all."""
     last = [known[-1] for known in _by_standard(checks)]
     failed = [check for check in last if not check.passed]
     return max(failed or last, key=lambda check: check.counter, default=None)
 
 
 def _by_standard(checks: Iterable[CheckRecord]) -> list[list[CheckRecord]]:
-    """The checks of each standard, oldest first."""
+    """Return the checks of each standard, oldest first."""
     known: dict[tuple[StandardKind, str, float], list[CheckRecord]] = {}
     for check in sorted(checks, key=lambda check: check.counter):
         known.setdefault(check.standard, []).append(check)

@@ -26,7 +26,7 @@ class SettingsRecord(Record, frozen=True):
 
     @classmethod
     def of(cls, settings: CameraSettings) -> SettingsRecord:
-        """The settings as a record."""
+        """Return the settings as a record."""
         return cls(exposure_us=settings.exposure_us, analogue_gain=settings.analogue_gain)
 
     @property
@@ -61,7 +61,7 @@ class Fingerprint(Record, frozen=True):
 
     @classmethod
     def of(cls, profile: BoardProfile, granted: CameraSettings, currents_ma: Mapping[str, float]) -> Fingerprint:
-        """The fingerprint of a frame taken by this board with these settings and currents (mA)."""
+        """Return the fingerprint of a frame taken by this board with these settings and currents (mA)."""
         red, green, blue = (
             LightRecord(
                 name=light.name,

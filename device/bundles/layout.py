@@ -57,7 +57,7 @@ def is_bundle_id(name: str) -> bool:
 
 
 def bundle_names(entries: Iterable[FolderEntry]) -> BundleNames:
-    """The bundles among the entries of a folder of bundles.
+    """Return the bundles among the entries of a folder of bundles.
 
     Hidden entries are ignored, and so are ordinary files of other names, such as a file manager's. Passed over are
     folders and special files that are no bundle, bundle ids that are no folder, and names that are not UTF-8.
@@ -78,7 +78,7 @@ def is_utf_8(name: str) -> bool:
 
 
 def bundle_ids(root: Path, kind: BundleKind) -> list[str]:
-    """Ids of the published bundles under a root, sorted; none when there is no such folder.
+    """Return ids of the published bundles under a root, sorted; none when there is no such folder.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def bundle_ids(root: Path, kind: BundleKind) -> list[str]:
 
 
 def list_bundles(root: Path, kind: BundleKind, read: Callable[[Path], BundleT]) -> Listing[BundleT]:
-    """Every published bundle under a root, read by `read`."""
+    """Return every published bundle under a root, read by `read`."""
     bundles, damaged = [], []
     for bundle_id in bundle_ids(root, kind):
         directory = root / kind / bundle_id

@@ -21,7 +21,8 @@ ManifestBuilder = Callable[[dict[str, FileEntry]], bytes]
 
 
 def publish_bundle(root: Path, kind: BundleKind, bundle_id: str, write: FileWriter, manifest: ManifestBuilder) -> Path:
-    """The published directory. `write` puts files into a directory, `manifest` turns their hashes into the manifest.
+    """Return the published directory. `write` puts files into a directory, `manifest` turns their hashes into the
+    manifest.
 
     Raises
     ------

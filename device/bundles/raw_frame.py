@@ -79,7 +79,7 @@ def write_raw(path: Path, frame: RawFrame) -> None:
 
 
 def read_raw(path: Path, shape: tuple[int, int] | None = None) -> RawFrame:
-    """The frame in a file that the user named, of `shape` (H, W) when it is known; nothing else is decompressed.
+    """Return the frame in a file that the user named, of `shape` (H, W) when it is known; nothing else is decompressed.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def read_raw(path: Path, shape: tuple[int, int] | None = None) -> RawFrame:
 
 
 def read_bundle_frame(path: Path, shape: tuple[int, int]) -> RawFrame:
-    """The frame in a file of a bundle, of `shape` (H, W) as its record states; links are not followed.
+    """Return the frame in a file of a bundle, of `shape` (H, W) as its record states; links are not followed.
 
     Errors as for `read_raw`.
     """
@@ -131,7 +131,7 @@ def _read(path: Path, opened: Callable[[], BinaryIO], shape: tuple[int, int] | N
 
 
 def _planes(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The mosaic's four sites: uint16 array of shape (4, H / 2, W / 2)."""
+    """Return the mosaic's four sites: uint16 array of shape (4, H / 2, W / 2)."""
     rows, columns = mosaic.shape
     if rows % 2 or columns % 2:
         raise ValueError(f"a mosaic of {columns}x{rows} pixels does not consist of 2x2 blocks")
@@ -150,7 +150,7 @@ def _check_size(header: RawHeader, expected: tuple[int, int] | None, path: Path)
 
 
 def _read_planes(tiff: tifffile.TiffFile, header: RawHeader, path: Path) -> NDArray[np.uint16]:
-    """The four pages, compared with the header before anything is decompressed."""
+    """Return the four pages, compared with the header before anything is decompressed."""
     shape = (header.rows // 2, header.columns // 2)
     pages = [tiff.pages[site] for site in range(4)]
     # The chain of pages can be as long as the file: only the first five are followed.

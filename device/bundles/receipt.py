@@ -49,7 +49,8 @@ def receipt_name(bundle_id: str) -> str:
 
 
 def bundle_of(receipt_file: str) -> str | None:
-    """Id of the bundle that a file of that name is about; None for any other file. The name alone proves nothing."""
+    """Return the id of the bundle that a file of that name is about; None for any other file. The name alone proves
+    nothing."""
     return receipt_file.removesuffix(_SUFFIX) if receipt_file.endswith(_SUFFIX) else None
 
 

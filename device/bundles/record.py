@@ -91,12 +91,12 @@ RecordT = TypeVar("RecordT", bound=Record)
 
 
 def encode_record(record: Record) -> bytes:
-    """The record as indented JSON with a final newline; NaN becomes null."""
+    """Return the record as indented JSON with a final newline; NaN becomes null."""
     return msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
 
 
 def decode_record(data: bytes, kind: type[RecordT], source: str | Path, remedy: str = "fetch it again") -> RecordT:
-    """The record in `data`; `remedy` ends the error's sentence.
+    """Return the record in `data`; `remedy` ends the error's sentence.
 
     Raises
     ------
@@ -143,12 +143,12 @@ def checksum_name(manifest: str) -> str:
 
 
 def manifest_checksum(manifest: str, data: bytes) -> bytes:
-    """Content of a manifest's checksum file, as `sha256sum -c` reads it."""
+    """Return the content of a manifest's checksum file, as `sha256sum -c` reads it."""
     return f"{sha256_bytes(data)}  {manifest}\n".encode()
 
 
 def read_manifest(directory: Path, manifest: str) -> bytes:
-    """Bytes of a bundle's manifest, compared with its checksum file.
+    """Return bytes of a bundle's manifest, compared with its checksum file.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def check_folder_name(directory: Path, identity: Identity) -> None:
 
 
 def read_small(path: Path, remedy: str = "fetch the bundle again") -> bytes:
-    """Bytes of a small regular file; `remedy` ends the error's sentence.
+    """Return bytes of a small regular file; `remedy` ends the error's sentence.
 
     Raises
     ------

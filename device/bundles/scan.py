@@ -69,7 +69,7 @@ class PowerRecord(Record, frozen=True):
 
     @classmethod
     def of(cls, reading: PowerReading) -> PowerRecord:
-        """The reading as a record."""
+        """Return the reading as a record."""
         return cls(**{name: getattr(reading, name) for name in cls.__struct_fields__})
 
 
@@ -177,15 +177,15 @@ class ScanBundle(Bundle[ScanRecord]):
         return self.bundle_id
 
     def raw_frame(self) -> RawFrame:
-        """The raw frame, read from disk. Errors as for `read_bundle_frame`."""
+        """Return the raw frame, read from disk. Errors as for `read_bundle_frame`."""
         return self._frame(self.record.raw_file)
 
     def named_frame(self, name: str) -> RawFrame:
-        """A raw frame by its name, such as one under a light alone. Errors as for `raw_frame`."""
+        """Return a raw frame by its name, such as one under a light alone. Errors as for `raw_frame`."""
         return self._frame(name)
 
     def movie_frame(self, name: str) -> RawFrame:
-        """A frame of the movie by its file's name, of the size that it is stored in.
+        """Return a frame of the movie by its file's name, of the size that it is stored in.
 
         Raises
         ------
@@ -199,12 +199,12 @@ class ScanBundle(Bundle[ScanRecord]):
         return read_bundle_frame(self.path(name), (rows // binning, columns // binning))
 
     def dark_frame(self) -> RawFrame | None:
-        """The raw frame under no light; None if not taken. Errors as for `raw_frame`."""
+        """Return the raw frame under no light; None if not taken. Errors as for `raw_frame`."""
         name = self.record.exposures.dark_file
         return None if name is None else self._frame(name)
 
     def lit_frame(self) -> RawFrame:
-        """The raw frame without ambient light, if a frame under no light was taken.
+        """Return the raw frame without ambient light, if a frame under no light was taken.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class ScanBundle(Bundle[ScanRecord]):
 
 
 def decode_scan(data: bytes, source: str | Path) -> ScanRecord:
-    """The scan record in a manifest's bytes; `source` names it in errors.
+    """Return the scan record in a manifest's bytes; `source` names it in errors.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def decode_scan(data: bytes, source: str | Path) -> ScanRecord:
 
 
 def read_scan(directory: Path) -> ScanBundle:
-    """The scan bundle in a directory; its manifest is checked, its other files are not read.
+    """Return the scan bundle in a directory; its manifest is checked, its other files are not read.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Whether a calibration passes: every number that decides, beside its limit. Device and workstation judge alike."""
+"""Acceptance of a calibration: every number that decides, beside its limit. Device and workstation judge alike."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Check(msgspec.Struct, frozen=True):
 
     @property
     def passed(self) -> bool:
-        """Whether the limit is kept."""
+        """True if the limit is kept."""
         return self.value <= self.limit if self.kind == "at most" else self.value >= self.limit
 
     @property
@@ -55,7 +55,7 @@ def check_fit(inverse: InverseFit) -> None:
 
 
 def fit_checks(balls: int, rejected: int, held_out_deg: float | None, coverage: Coverage) -> tuple[Check, ...]:
-    """What is judged of every calibration.
+    """Return what is judged of every calibration.
 
     balls, rejected : number of training balls, and of rejected ones
     held_out_deg : error on held-out balls; None when it is unknown, and then not judged

@@ -41,7 +41,7 @@ PENALTY_TIE: Final = 1.0025
 
 @dataclass(frozen=True, slots=True)
 class RegressorForm:
-    """Which terms a curve has, and how dear they are.
+    """Terms of a curve and their penalties.
 
     colour_degree, position_degree : its degrees
     place_penalty : how many times as dear a term is for every power of position
@@ -57,7 +57,7 @@ class RegressorForm:
     anchored: bool = False
 
     def term_scale(self) -> Float64Array:
-        """What features are multiplied by so that one penalty serves all: float64 array of shape (M K,)."""
+        """Return what features are multiplied by so that one penalty serves all: float64 array of shape (M K,)."""
         powers = np.array([i + j for i, j in position_exponents(self.position_degree)])
         scale = self.place_penalty ** (-0.5 * powers)
         return np.tile(scale, len(colour_exponents(self.colour_degree)) + self.waves.count)
@@ -108,7 +108,7 @@ MIN_FOR_MANY_TERMS: Final = 8
 
 
 def fourier_form() -> RegressorForm:
-    """The form for a skin with metal flakes, which bends more over colour than over place."""
+    """Return the form for a skin with metal flakes, which bends more over colour than over place."""
     return RegressorForm(2, 2, 10.0, RandomFourierFeatures.sample())
 
 
@@ -137,8 +137,8 @@ class RegressorFit:
     error_as_seen: float = np.nan
 
     def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
-        """The leverage of its features among those of the living balls, 0 for untouched skin; arguments as for the
-        ridge.
+        """Return the leverage of its features among those of the living balls, 0 for untouched skin; arguments as for
+        the ridge.
 
         For a learner that does not read light.
         """
@@ -151,12 +151,12 @@ class RegressorFit:
         return replace(found, root=scaled.astype(np.float32))
 
     def of_samples(self, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> RegressorFit:
-        """The same form and penalty for other samples of the same balls, whose true slopes are given."""
+        """Return the same form and penalty for other samples of the same balls, whose true slopes are given."""
         reading, skin = _of_samples(self, samples, slope, shape)
         return fit_regressor(samples, shape, self.form, self.penalty, reading, flat=self.flat, skin=skin)
 
     def curve(self, solution: Float64Array) -> FeatureRegressor:
-        """The curve with the coefficients that `ridge` found, array of shape (F, 2)."""
+        """Return the curve with the coefficients that `ridge` found, array of shape (F, 2)."""
         unscaled = solution * self.form.term_scale()[:, None]
         if self.flat and not isinstance(self.reading, IlluminationMap):
             unscaled = flat_at_rest(self._bare, unscaled, self.reading)
@@ -182,7 +182,7 @@ def fit_regressor(
     kept: MutableMapping[bytes, Float64Array] | None = None,
     skin: GentleSkin | None = None,
 ) -> RegressorFit:
-    """The learner of this form and penalty, for a full-size field of `shape` (H, W).
+    """Return the learner of this form and penalty, for a full-size field of `shape` (H, W).
 
     kept : as of `ProductFeatures`
     skin : predicts the gentle slopes that it is anchored at, where it does not read near lights' slopes and is flat
@@ -212,13 +212,14 @@ def fit_regressor(
         read = 0.5 * (above + below)
         anchor = share * read.T @ read, share * read.T @ stereographic_from_slope(*slope.T)
     prior = _matt_prior(colours, form) if near else None
-    taught, *others = (features(_seen(intensity, place, reading), place) for intensity in _with_less_noise(samples))
-    ridge = GroupedRidgeCV(taught, samples.ball, prior, anchor, *others)
+    training, *others = (features(_seen(intensity, place, reading), place) for intensity in _with_less_noise(samples))
+    ridge = GroupedRidgeCV(training, samples.ball, prior, anchor, *others)
     return RegressorFit(colours, form, reading, penalty, ridge, flat, skin)
 
 
 def _with_less_noise(samples: BallSamples) -> list[Float32Array]:
-    """Intensities (N, 3) without noise, with all of it, and with as much as a surface keeps; one if all are alike."""
+    """Return intensities (N, 3) without noise, with all of it, and with as much as a surface keeps; one if all are
+    alike."""
     if samples.quiet is None:
         return [samples.intensity]
     kept = samples.quiet + np.float32(NOISE_KEPT) * (samples.intensity - samples.quiet)
@@ -233,14 +234,15 @@ def _gentle_skin() -> tuple[Float64Array, Float64Array, Float64Array]:
 
 
 def _gentle_slopes_as_seen() -> tuple[Float32Array, Float64Array]:
-    """Colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2) anywhere."""
+    """Return colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2)
+    anywhere."""
     slope, place, _ = _gentle_skin()
     brightness = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True))
     return np.concatenate([slope, brightness], axis=1).astype(np.float32), place
 
 
 def _matt_prior(colours: FeatureScaler, form: RegressorForm) -> Float64Array:
-    """Coefficients (F, 2) of a curve that takes the slopes of a matt skin as they are, its first two colours.
+    """Return coefficients (F, 2) of a curve that takes the slopes of a matt skin as they are, its first two colours.
 
     A penalty that draws towards them leaves gentle slopes their gain; one that draws to 0 reads them too flat.
     """
@@ -255,7 +257,7 @@ def _matt_prior(colours: FeatureScaler, form: RegressorForm) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesson:
-    """What learners are chosen by: samples of balls whose true slopes are known.
+    """Samples of balls whose true slopes are known, by which learners are chosen.
 
     slope : float64 array of shape (N, 2), true slopes of the samples
     count : of balls
@@ -274,11 +276,11 @@ class Lesson:
     skin: GentleSkin | None = None
 
     def under(self, light: IlluminationMap) -> Lesson:
-        """The same with what its gentle slopes predict of others under `light` of untouched skin."""
+        """Return the same with what its gentle slopes predict of others under `light` of untouched skin."""
         return replace(self, skin=GentleSkin.best(self.samples, self.slope, self.shape, light))
 
     def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:
-        """The learner with the form and the penalty of least held-out error, and that error, in slope.
+        """Return the learner with the form and the penalty of least held-out error, and that error, in slope.
 
         Balls' centres do not count in the error.
 
@@ -293,7 +295,7 @@ class Lesson:
         return best.at_best_penalty() if light is None else self._anchored_where_worth(best)
 
     def fit_near_light(self) -> tuple[RegressorFit, float]:
-        """The best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
+        """Return the best learner that reads the slopes of a matt skin under near lights, and its held-out error."""
         near = NearLightModel.of(self.samples, self.slope, self.shape)
         anchored, free = (self._best_trial(forms, near).at_best_penalty() for forms in (ANCHORED_FORMS, NEAR_FORMS))
         if free[1] < ANCHOR_COST * anchored[1]:
@@ -301,16 +303,17 @@ class Lesson:
         return free if self._gain_error(free[0]) < ANCHOR_GAIN * self._gain_error(anchored[0]) else anchored
 
     def root_learner(self) -> tuple[RegressorFit, float]:
-        """The learner that reads the root of intensity, and its held-out error."""
+        """Return the learner that reads the root of intensity, and its held-out error."""
         return self._trial(ROOT_FORM, RootIntensity()).at_best_penalty()
 
     def relearned(self, learner: RegressorFit) -> tuple[RegressorFit, float]:
-        """The learner of the same form that reads the same, at its best penalty here, and its held-out error."""
+        """Return the learner of the same form that reads the same, at its best penalty here, and its held-out error."""
         reading, skin = _of_samples(learner, self.samples, self.slope, self.shape)
         return replace(self, skin=skin)._trial(learner.form, reading).at_best_penalty()
 
     def _anchored_where_worth(self, trial: _Trial) -> tuple[RegressorFit, float]:
-        """The learner of a trial at its best penalty, and its held-out error; anchored where that is clearly less."""
+        """Return the learner of a trial at its best penalty, and its held-out error; anchored where that is clearly
+        less."""
         free = trial.at_best_penalty()
         if self.skin is None or not self.flat:
             return free
@@ -318,7 +321,7 @@ class Lesson:
         return anchored.at_best_penalty() if anchored.error < ANCHOR_WORTH * free[1] else free
 
     def _gain_error(self, learner: RegressorFit) -> float:
-        """Root mean square over held-out balls of the error of the gain of their gentle slopes."""
+        """Return the root mean square over held-out balls of the error of the gain of their gentle slopes."""
         folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
         read = slope_from_stereographic(folds.held_out([learner.penalty], judged=True)[0])
         gentle = np.linalg.norm(self.slope, axis=1) < GENTLE_SLOPE
@@ -326,11 +329,11 @@ class Lesson:
         return float(np.sqrt(((gains - 1.0) ** 2).mean())) if gains.size else 0.0
 
     def _best_trial(self, forms: Iterable[RegressorForm], reading: Reading | None) -> _Trial:
-        """The form of least held-out error, one at a time: their features take a hundred megabytes."""
+        """Return the form of least held-out error, one at a time: their features take a hundred megabytes."""
         return min((self._trial(form, reading) for form in forms), key=lambda trial: trial.error)
 
     def _trial(self, form: RegressorForm, reading: Reading | None) -> _Trial:
-        """A form with every third penalty tried."""
+        """Return a form with every third penalty tried."""
         skin = self.skin if form.anchored and not isinstance(reading, NearLightModel) else None
         learner = fit_regressor(self.samples, self.shape, form, 0.0, reading, flat=self.flat, kept=self.kept, skin=skin)
         folds = learner.ridge.folds(self.slope, np.ones(len(self.slope)), np.ones(self.count, bool))
@@ -367,8 +370,8 @@ class _Trial:
         return balanced_errors(self.lesson.samples.ball, slope_from_stereographic(held_out), self.lesson.slope)
 
     def at_best_penalty(self) -> tuple[RegressorFit, float]:
-        """The learner with the penalty of least held-out error among the best so far and those beside it, or a smaller
-        one whose error is alike, and that error.
+        """Return the learner with the penalty of least held-out error among the best so far and those beside it, or a
+        smaller one whose error is alike, and that error.
         """
         least = self._least()
         self.attempt(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))
@@ -384,7 +387,7 @@ class _Trial:
 def _of_samples(
     learner: RegressorFit, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]
 ) -> tuple[Reading | None, GentleSkin | None]:
-    """What a learner reads and is anchored at, as other samples of the same balls tell it."""
+    """Return what a learner reads and is anchored at, as other samples of the same balls tell it."""
     near, skin = isinstance(learner.reading, NearLightModel), learner.skin
     reading = NearLightModel.of(samples, slope, shape) if near else learner.reading
     return reading, None if skin is None else GentleSkin.of(samples, slope, shape, skin.light)

@@ -61,7 +61,7 @@ class Refined:
 
 
 def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners, alone: MaskArray | None = None) -> Refined:
-    """Centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each.
+    """Return centres moved, balls that do not follow the sphere dropped, samples weighted: a few rounds of each.
 
     Few balls leave room for a map that fits shifted centres as well as true ones; each round then moves them farther.
     Rounds that make held-out balls worse by `RUNAWAY` are taken back.
@@ -93,7 +93,7 @@ def refine(samples: BallSamples, balls: Sequence[Ball], learners: Learners, alon
 def _refined_once(
     samples: BallSamples, before: Refined, learners: Learners, seen: MaskArray, alone: MaskArray
 ) -> Refined:
-    """The state after one round, with the slopes that it holds out."""
+    """Return the state after one round, with the slopes that it holds out."""
     balls = _recentred(samples, before.balls, before.held_out, before.kept)
     slope = true_slopes(samples, balls)
     errors = _errors_deg(samples, before.held_out, slope, seen)
@@ -103,20 +103,22 @@ def _refined_once(
 
 
 def _errors_deg(samples: BallSamples, read: Float64Array, slope: Float64Array, seen: MaskArray) -> Float64Array:
-    """Mean angle between slopes (N, 2) that were read and true ones, by ball: (balls,), NaN for those not seen."""
+    """Return the mean angle between slopes (N, 2) that were read and true ones, by ball: (balls,), NaN for those not
+    seen."""
     angle = angle_between_deg(read, slope)
     pixels = np.maximum(np.bincount(samples.ball, minlength=len(seen)), 1)
     return np.asarray(np.where(seen, np.bincount(samples.ball, angle, len(seen)) / pixels, np.nan))
 
 
 def _typical_error_deg(samples: BallSamples, state: Refined) -> float:
-    """Median over balls of the held-out error at a state's own centres."""
+    """Return the median over balls of the held-out error at a state's own centres."""
     seen = np.bincount(samples.ball, minlength=len(state.balls)) > 0
     return float(np.nanmedian(_errors_deg(samples, state.held_out, state.slope, seen)))
 
 
 def held_out_slopes(learners: Learners, state: Refined, fold_of_ball: NDArray[np.intp] | None = None) -> Float64Array:
-    """Slopes of shape (N, 2) that the learners together give each ball without having seen it; folds as the ridge's."""
+    """Return slopes of shape (N, 2) that the learners together give each ball without having seen it; folds as the
+    ridge's."""
     u = np.zeros_like(state.slope)
     arguments = state.slope, state.weight, state.kept, fold_of_ball
     calls = [partial(learner.ridge.held_out, [learner.penalty], *arguments) for learner, _ in learners]
@@ -126,7 +128,7 @@ def held_out_slopes(learners: Learners, state: Refined, fold_of_ball: NDArray[np
 
 
 def true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
-    """Slopes of shape (N, 2) of the spheres at their present centres."""
+    """Return slopes of shape (N, 2) of the spheres at their present centres."""
     radius = np.array([ball.radius_px for ball in balls])[samples.ball]
     offset = _offsets(samples, balls)
     height = np.sqrt(np.maximum(radius**2 - (offset**2).sum(axis=-1), (0.2 * radius) ** 2))
@@ -134,7 +136,7 @@ def true_slopes(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
 
 
 def _offsets(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
-    """How far to the right of and below their spheres' axes the samples see them, pixels: shape (N, 2)."""
+    """Return how far to the right of and below their spheres' axes the samples see them, pixels: shape (N, 2)."""
     centre = np.array([[ball.column, ball.row] for ball in balls])[samples.ball]
     pixel = np.stack([samples.column, samples.row], axis=-1).astype(np.float64)
     viewpoint = balls[0].viewpoint
@@ -147,7 +149,7 @@ def _offsets(samples: BallSamples, balls: Sequence[Ball]) -> Float64Array:
 
 
 def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array, kept: MaskArray) -> tuple[Ball, ...]:
-    """Balls moved towards where held-out slopes put their centres; the set's common shift is left out."""
+    """Return balls moved towards where held-out slopes put their centres; the set's common shift is left out."""
     radius = np.array([ball.radius_px for ball in balls])[samples.ball]
     towards_apex = slope * (radius / np.sqrt(1.0 + (slope**2).sum(axis=-1)))[:, None]
     off = _offsets(samples, balls) + towards_apex
@@ -191,6 +193,6 @@ Result = TypeVar("Result")
 
 
 def results_of(calls: Iterable[Callable[[], Result]]) -> list[Result]:
-    """Results in the calls' order, whichever ends first."""
+    """Return results in the calls' order, whichever ends first."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return [job.result() for job in [pool.submit(call) for call in calls]]

@@ -1,4 +1,4 @@
-"""Which parts of the frame and which slopes the balls of a calibration cover, and what to press next."""
+"""Parts of the frame and slopes that the balls of a calibration cover, and advice on what to press next."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DIRECTIONS: Final = ("right", "lower right", "down", "lower left", "left", "uppe
 
 
 def _sector(down: int, across: int) -> str:
-    """A sector in words, such as "upper left corner"."""
+    """Return a sector in words, such as "upper left corner"."""
     if down == across == 1:
         return "middle of the frame"
     if 1 in (down, across):
@@ -42,7 +42,7 @@ DIRECTION_SHARE: Final = 0.25
 
 
 class Coverage(msgspec.Struct, frozen=True):
-    """What the balls cover.
+    """Parts of the frame and slopes that the balls cover.
 
     sectors : by name of the nine sectors of the frame, whether a training ball lies there
     directions : by the direction in which the surface falls, whether tilted pixels show it
@@ -59,14 +59,15 @@ class Coverage(msgspec.Struct, frozen=True):
         return tuple(name for name, covered in self.sectors.items() if not covered)
 
     def next_place(self) -> tuple[float, float] | None:
-        """Middle of the first uncovered sector, as shares of the field's columns and rows; None when all are."""
+        """Return the middle of the first uncovered sector, as shares of the field's columns and rows; None when all
+        are."""
         for number, covered in enumerate(self.sectors.values()):
             if not covered:
                 return (number % SIDES + 0.5) / SIDES, (number // SIDES + 0.5) / SIDES
         return None
 
     def next_presses(self) -> tuple[str, ...]:
-        """What to press next, one sentence each; none when all is covered."""
+        """Return what to press next, one sentence each; none when all is covered."""
         sides = [name for name, covered in self.directions.items() if not covered]
         advice = [f"{name} uncovered: press a ball there" for name in self.uncovered]
         if sides:
@@ -82,7 +83,7 @@ class Coverage(msgspec.Struct, frozen=True):
 
 
 def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: float) -> Coverage:
-    """The coverage of a frame of `shape` (H, W) by the samples of the training balls.
+    """Return the coverage of a frame of `shape` (H, W) by the samples of the training balls.
 
     steepest : largest slope of the training balls
     """
@@ -93,7 +94,7 @@ def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: flo
 
 
 def sector_indices(row: RealArray, column: RealArray, shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Index in `SECTORS` of each place of a frame of `shape` (H, W); row and column in pixels."""
+    """Return the index in `SECTORS` of each place of a frame of `shape` (H, W); row and column in pixels."""
     down = np.clip(row * SIDES / shape[0], 0, SIDES - 1).astype(np.intp)
     across = np.clip(column * SIDES / shape[1], 0, SIDES - 1).astype(np.intp)
     return np.asarray(down * SIDES + across, np.intp)

@@ -39,7 +39,7 @@ class GroupedRidgeCV:
     judged: ProductFeatures | None = None
 
     def solve(self, penalty: float, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Float64Array:
-        """Coefficients of shape (F, 2) learned from the living balls.
+        """Return coefficients of shape (F, 2) learned from the living balls.
 
         slope : float64 array of shape (N, 2), true slopes
         weight : float64 array of shape (N,)
@@ -63,7 +63,8 @@ class GroupedRidgeCV:
         alive: MaskArray,
         fold_of_ball: NDArray[np.intp] | None = None,
     ) -> list[Float64Array]:
-        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds.
+        """Return the stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other
+        folds.
 
         fold_of_ball : int array of shape (balls,), from 0 on; by default balls are dealt out to `FOLDS` in turn
         """
@@ -76,8 +77,8 @@ class GroupedRidgeCV:
         alive: MaskArray,
         fold_of_ball: NDArray[np.intp] | None = None,
     ) -> FoldedRidge:
-        """The ridge with its normal equations fold by fold, for the penalties that are asked of it; arguments as for
-        `held_out`.
+        """Return the ridge with its normal equations fold by fold, for the penalties that are asked of it; arguments as
+        for `held_out`.
         """
         fold = self._fold_of_row(alive) if fold_of_ball is None else fold_of_ball[self.ball]
         count = int(fold.max()) + 1
@@ -121,7 +122,7 @@ class GroupedRidgeCV:
 
     @property
     def _scale(self) -> float:
-        """What a penalty is multiplied by, so that it does not depend on the number of samples."""
+        """Return the factor of a penalty that makes it independent of the number of samples."""
         return len(self.ball) / 100.0
 
 
@@ -138,7 +139,8 @@ class FoldedRidge:
     others: list[tuple[Float64Array, Float64Array]]
 
     def held_out(self, penalties: Sequence[float], *, judged: bool = False) -> list[Float64Array]:
-        """Stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other folds.
+        """Return the stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other
+        folds.
 
         judged : of the pixels with as much noise as a surface keeps
         """
@@ -153,7 +155,8 @@ class FoldedRidge:
 
 
 def balanced_errors(ball: NDArray[np.intp], slopes: Float64Array, truth: Float64Array) -> list[float]:
-    """Mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not count.
+    """Return the mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not
+    count.
 
     ball : int array of shape (N,), index of the ball that a pixel belongs to
     """
@@ -166,14 +169,14 @@ def balanced_errors(ball: NDArray[np.intp], slopes: Float64Array, truth: Float64
 
 
 def angle_between_deg(slope: Float64Array, truth: Float64Array) -> Float64Array:
-    """Angle between the normals of slopes of shape (N, 2), degrees, shape (N,)."""
+    """Return the angle between the normals of slopes of shape (N, 2), degrees, shape (N,)."""
     dot = (slope * truth).sum(axis=-1) + 1.0
     norms = np.sqrt((1.0 + (slope**2).sum(axis=-1)) * (1.0 + (truth**2).sum(axis=-1)))
     return np.asarray(np.degrees(np.arccos(np.clip(dot / norms, -1.0, 1.0))))
 
 
 def robust_weight(slope: Float64Array, truth: Float64Array) -> Float64Array:
-    """Weights of shape (N,), mean 1, that turn the next least-squares pass towards least absolute error."""
+    """Return weights of shape (N,), mean 1, that turn the next least-squares pass towards least absolute error."""
     residual = np.linalg.norm(stereographic_from_slope(*slope.T) - stereographic_from_slope(*truth.T), axis=1)
     weight = 1.0 / np.maximum(residual, max(0.5 * float(np.median(residual)), 1e-6))
     return np.asarray(weight / weight.mean())

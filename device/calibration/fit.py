@@ -124,7 +124,7 @@ def fit_inverse_map(
     light: IlluminationMap | None = None,
     thorough: bool = False,
 ) -> InverseFit:
-    """The inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors;
+    """Return the inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors;
     arguments and errors as for `begin_fit`.
     """
     return begin_fit(samples, balls, shape, max_samples=max_samples, light=light, thorough=thorough).finished()
@@ -155,7 +155,7 @@ def begin_fit(
     like: BegunFit | None = None,
     alone: MaskArray | None = None,
 ) -> BegunFit:
-    """The fit of a full-size field of `shape` (H, W) to samples of `balls`.
+    """Return the fit of a full-size field of `shape` (H, W) to samples of `balls`.
 
     light : of untouched skin, for curves that want a reference, where held-out balls gain by them
     thorough : try curves that the quick look would not use too: of the root of intensity, and such as need not read
@@ -234,7 +234,7 @@ def _replicas(
     domain: TrainingDomain,
     shape: tuple[int, int],
 ) -> tuple[InverseMap, ...]:
-    """A map for every fold of kept balls, trained on the other folds; none with fewer than two balls a fold."""
+    """Return a map for every fold of kept balls, trained on the other folds; none with fewer than two balls a fold."""
     kept = np.flatnonzero(state.kept)
     if len(kept) < 2 * FOLDS:
         return ()
@@ -249,7 +249,7 @@ def _replicas(
 
 
 def _readings(samples: BallSamples, state: Refined, slope: Float64Array, shape: tuple[int, int]) -> HeldOutReadings:
-    """The held-out slopes (N, 2) of the kept balls with what they should be."""
+    """Return the held-out slopes (N, 2) of the kept balls with what they should be."""
     rows = state.kept[samples.ball]
     place = field_position(samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64), shape)
     radius_px = np.array([ball.radius_px for ball in state.balls])
@@ -259,7 +259,8 @@ def _readings(samples: BallSamples, state: Refined, slope: Float64Array, shape: 
 def _of_another_radius(
     samples: BallSamples, state: Refined, learners: Learners, shape: tuple[int, int]
 ) -> HeldOutReadings | None:
-    """Readings of every ball by the map trained on balls of the other radii, None when kept balls have one radius."""
+    """Return readings of every ball by the map trained on balls of the other radii, None when kept balls have one
+    radius."""
     sizes = np.round(np.log([ball.radius_px for ball in state.balls]) / SAME_RADIUS).astype(np.intp)
     kinds, fold = np.unique(sizes, return_inverse=True)
     if len(np.unique(fold[state.kept])) < len(kinds) or len(kinds) < 2:
@@ -268,7 +269,8 @@ def _of_another_radius(
 
 
 def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) -> tuple[RegressorFit, Learners]:
-    """The learner of intensity; and the map's: it or near lights', the root's and light's where worth their cost."""
+    """Return the learner of intensity; and the map's: it or near lights', the root's and light's where worth their
+    cost."""
     many = lesson.count >= MIN_FOR_MANY_TERMS
     choices: dict[str, Callable[[Lesson], tuple[RegressorFit, float]]] = {"plain": Lesson.select_best}
     if light is not None and many:
@@ -295,7 +297,7 @@ def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) 
 
 
 def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> tuple[RegressorFit, Learners]:
-    """Learners of the same forms that read the same, with the penalties and shares that this lesson prefers."""
+    """Return learners of the same forms that read the same, with the penalties and shares that this lesson prefers."""
     before = [plain, *(learner for learner, _ in learners if learner is not plain)]
     calls = [partial(replace(lesson, flat=learner.flat).relearned, learner) for learner in before]
     found = results_of(calls)
@@ -307,13 +309,14 @@ def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> t
 def _flat_or_free(
     found: Mapping[tuple[str, bool], tuple[RegressorFit, float]], name: str
 ) -> tuple[RegressorFit, float]:
-    """The learner that reads untouched skin as flat, or the one that is free to miss it where that gains enough."""
+    """Return the learner that reads untouched skin as flat, or the one that is free to miss it where that gains
+    enough."""
     flat, free = found[name, True], found.get((name, False))
     return free if free and free[1] < FREE_GAIN * flat[1] else flat
 
 
 def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
-    """The learners with their shares, without those that weigh too little; the first is always there.
+    """Return the learners with their shares, without those that weigh too little; the first is always there.
 
     Shares come from held-out errors with noise, which a mean of several curves averages.
     """
@@ -339,7 +342,7 @@ def _map(
     shape: tuple[int, int],
     steepest: float,
 ) -> InverseMap:
-    """The map trained on all kept balls, without its leverage."""
+    """Return the map trained on all kept balls, without its leverage."""
 
     def trained(learner: RegressorFit) -> FeatureRegressor:
         return learner.curve(learner.ridge.solve(learner.penalty, state.slope, state.weight, state.kept))
@@ -369,7 +372,7 @@ def _bands(error_deg: Float64Array, slope: Float64Array) -> tuple[SlopeBand, ...
 
 
 def dropped_ball(fit: InverseFit, number: int) -> RejectedBall:
-    """Ball `number` of a fit as a rejected one, with the error by which it stood out."""
+    """Return the ball `number` of a fit as a rejected one, with the error by which it stood out."""
     ball = fit.balls[number]
     error_deg = float(fit.ball_error_deg[number])
     return RejectedBall(ball.column, ball.row, f"does not follow the sphere (held-out error {error_deg:.1f} degrees)")

@@ -1,4 +1,4 @@
-"""What a calibration must reach to be used, and what its report calls passed: every threshold in one place."""
+"""Thresholds that a calibration must reach to be used, and those of its report, all in one place."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WORST_HELD_OUT_DEG: Final = 8.0
 """A calibration whose held-out balls are worse is refused."""
 
 MAX_RADIUS_SPREAD: Final = 0.08
-"""Standard deviation, over balls, of the radius that shading gives over the one stated; more is a contradiction."""
+"""Standard deviation, over balls, of the radius that shading gives over the one stated; more is a disagreement."""
 
 MAX_CLIPPED: Final = 0.3
 """A ball with a larger share of its contact saturated is not used for training."""

@@ -41,7 +41,7 @@ class MeasuredRadii:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """What is judged of the balls' radius."""
+        """Checks of the balls' radius."""
         found = []
         if self.by_shadow is not None:
             name = "ball radius off from the stated one by the lights' shadows, fraction"
@@ -71,7 +71,8 @@ class MeasuredRadii:
 def measure_radii(
     stated_mm: float, shadows_mm: Sequence[float], samples: BallSamples, last: InverseMap | None
 ) -> MeasuredRadii:
-    """The radius of balls stated to have `stated_mm`, by their terminators (mm) and by the last calibration's map."""
+    """Return the radius of balls stated to have `stated_mm`, by their terminators (mm) and by the last calibration's
+    map."""
     by_last = None
     if last is not None:
         shares = measured_radius_shares(samples, last)
@@ -81,12 +82,14 @@ def measure_radii(
 
 
 def wrong_by_shadow(stated_mm: float, shadows_mm: Sequence[float]) -> str:
-    """What is wrong with the balls by their shadows alone, which tell after a press or two; empty if nothing is."""
+    """Return what is wrong with the balls by their shadows alone, which tell after a press or two; empty if nothing
+    is."""
     return MeasuredRadii(stated_mm, _by_shadow(stated_mm, shadows_mm), None).advice
 
 
 def measured_radius_shares(samples: BallSamples, last: InverseMap) -> np.ndarray:
-    """Each ball's measured radius over the stated one, float64 array of shape (number of balls,), NaN without samples.
+    """Return each ball's measured radius over the stated one, float64 array of shape (number of balls,), NaN without
+    samples.
 
     last : the inverse map of the last calibration of the same gel and lights. A ball of radius R that is stated as R'
         shows about R' / R times the stated slopes.
@@ -138,7 +141,7 @@ def shadow_radii_mm(
     lights_mm: Sequence[tuple[float, float, float]],
     pitch_mm: float,
 ) -> tuple[float, ...]:
-    """Radii by every terminator seen on balls of one press, mm.
+    """Return radii by every terminator seen on balls of one press, mm.
 
     image, balls : in the same pixels
     lights_mm : position of the light of each channel, as in the board profile
@@ -155,7 +158,7 @@ def shadow_radii_mm(
 def _readings(
     image: NormalizedImage, ball: Ball, channel: int, light_mm: tuple[float, float, float], pitch_mm: float
 ) -> Iterator[float]:
-    """The radius by one light, mm; nothing where its terminator is not seen on the ball."""
+    """Yield the radius by one light, mm; nothing where its terminator is not seen on the ball."""
     rows, columns = image.shape
     x_mm = pitch_mm * (ball.column - 0.5 * (columns - 1))
     y_mm = pitch_mm * (ball.row - 0.5 * (rows - 1))
@@ -171,13 +174,14 @@ def _readings(
 
 
 def _height_mm(ball: Ball, distance_px: float) -> float:
-    """Height of the skin above the edge of the trusted contact, px; as the sphere of the stated radius."""
+    """Return the height of the skin above the edge of the trusted contact, px; as the sphere of the stated radius."""
     heights = [np.sqrt(max(ball.radius_px**2 - r**2, 0.0)) for r in (distance_px, ball.contact_radius_px)]
     return float(max(heights[0] - heights[1], 0.0))
 
 
 def _profile_away(image: NormalizedImage, ball: Ball, channel: int, direction_rad: float) -> Float64Array:
-    """Mean intensity at `DISTANCES` in a direction; NaN where the wedge leaves the image or its pixels are invalid."""
+    """Return the mean intensity at `DISTANCES` in a direction; NaN where the wedge leaves the image or its pixels are
+    invalid."""
     angle = direction_rad + np.linspace(-WEDGE_RAD, WEDGE_RAD, RAYS)
     column = (ball.column + ball.radius_px * DISTANCES[:, None] * np.cos(angle)).astype(np.float32)
     row = (ball.row + ball.radius_px * DISTANCES[:, None] * np.sin(angle)).astype(np.float32)
@@ -191,7 +195,7 @@ def _profile_away(image: NormalizedImage, ball: Ball, channel: int, direction_ra
 
 
 def _terminator(profile: Float64Array) -> float | None:
-    """Distance at which a fall ends and a level begins, a share of the radius; None without one."""
+    """Return the distance at which a fall ends and a level begins, a share of the radius; None without one."""
     best, found = np.inf, None
     length = round(DARK_LENGTH / float(DISTANCES[1] - DISTANCES[0]))
     for first in range(4, len(DISTANCES) - length):

@@ -54,7 +54,8 @@ class ProductFeatures:
     def normal_equations(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Gram matrix (F, F) and moments (F, C) of pixels `rows`, with weights (N,) and what is wanted (N, C)."""
+        """Return the gram matrix (F, F) and moments (F, C) of pixels `rows`, with weights (N,) and what is wanted (N,
+        C)."""
         if not self.waves.count and (self.rest is None or len(self.rest) == 1):
             gram, moment = self._of_sums(rows, weight, wanted)
         elif self.kept is None or self.waves.count:  # no other form has the same waves
@@ -66,7 +67,7 @@ class ProductFeatures:
         return gram, moment * self.scale[:, None]
 
     def times(self, rows: NDArray[np.intp], coefficients: Float64Array) -> Float64Array:
-        """What coefficients (F, C) make of the features of pixels `rows`: float64 array of shape (n, C)."""
+        """Return what coefficients (F, C) make of the features of pixels `rows`: float64 array of shape (n, C)."""
         places, columns = len(position_exponents(self.position_degree)), coefficients.shape[1]
         scaled = (coefficients * self.scale[:, None]).reshape(-1, places, columns)
         found = np.empty((len(rows), columns))
@@ -83,17 +84,17 @@ class ProductFeatures:
         return found
 
     def table(self) -> Float64Array:
-        """All features of all pixels, float64 array of shape (N, F)."""
+        """Return all features of all pixels, float64 array of shape (N, F)."""
         return self.scale * self._plain(np.arange(len(self.place)))
 
     def _plain(self, rows: NDArray[np.intp]) -> Float64Array:
-        """Features before they are scaled, float64 array of shape (n, F)."""
+        """Return features before they are scaled, float64 array of shape (n, F)."""
         place = np.ascontiguousarray(monomial_rows(self.place[rows].T, self.position_degree).T)
         terms = np.ascontiguousarray(self._terms(rows).T)
         return np.asarray((terms[:, :, None] * place[:, None, :]).reshape(len(rows), -1))
 
     def _terms(self, rows: NDArray[np.intp]) -> Float64Array:
-        """Terms of colour less those of untouched skin: float64 array of shape (M, n)."""
+        """Return terms of colour less those of untouched skin: float64 array of shape (M, n)."""
         terms = self._colour_terms(self.colours[rows])
         if self.rest is not None:
             terms -= self._colour_terms(self.rest if len(self.rest) == 1 else self.rest[rows])
@@ -105,7 +106,7 @@ class ProductFeatures:
     def _summed(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Normal equations, not scaled, block by block of pixels."""
+        """Return the normal equations, not scaled, block by block of pixels."""
         count = len(self.scale)
         gram, moment = np.zeros((count, count)), np.zeros((count, wanted.shape[1]))
         for at in blocks_of(len(rows)):
@@ -124,7 +125,7 @@ class ProductFeatures:
         weight: Float64Array,
         wanted: Float64Array,
     ) -> tuple[Float64Array, Float64Array]:
-        """Normal equations of a form whose untouched skin changes with place, not scaled."""
+        """Return the normal equations of a form whose untouched skin changes with place, not scaled."""
         degrees = np.array([self.colour_degree, self.position_degree])
         at_rest = np.zeros(0) if self.rest is None else self.rest[rows]
         parts = self.colours[rows], self.place[rows], weight[rows], wanted[rows], at_rest
@@ -137,7 +138,7 @@ class ProductFeatures:
     def _of_sums(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Normal equations of a polynomial, not scaled, from sums of monomials."""
+        """Return the normal equations of a polynomial, not scaled, from sums of monomials."""
         singles, columns = _pairs(self.position_degree, 2)[0], wanted.shape[1]
         products = _products(self.colour_degree, self.position_degree)
         places = int(_pairs(self.position_degree, 2).max()) + 1
@@ -163,8 +164,8 @@ class ProductFeatures:
     def _sums(
         self, colours: Float64Array, place: Float64Array, weight: Float64Array, wanted: Float64Array
     ) -> Float64Array:
-        """Sums over pixels of every monomial of colour times every one of place, the last ones also times what is
-        wanted: float64 array, a monomial of colour a row.
+        """Return sums over pixels of every monomial of colour times every one of place, the last ones also times what
+        is wanted: float64 array, a monomial of colour a row.
         """
         pairs = _pairs(self.position_degree, 2)
         count = int(pairs.max()) + 1 + len(pairs) * wanted.shape[1]
@@ -185,7 +186,7 @@ def _digest(*arrays: NDArray[Any]) -> bytes:
 
 @cache
 def _pairs(degree: int, variables: int) -> NDArray[np.intp]:
-    """Which monomial of twice the degree the product of two monomials is: int array of shape (M, M)."""
+    """Return which monomial of twice the degree the product of two monomials is: int array of shape (M, M)."""
     exponents = colour_exponents if variables == 3 else position_exponents
     number = {exponent: at for at, exponent in enumerate(exponents(2 * degree))}
     own = exponents(degree)
@@ -194,8 +195,8 @@ def _pairs(degree: int, variables: int) -> NDArray[np.intp]:
 
 @cache
 def _products(colour_degree: int, position_degree: int) -> NDArray[np.intp]:
-    """Which sum of a monomial of colour (rows) times one of place (columns) the product of two features is: int array
-    of shape (M, K, M, K), by the terms of either.
+    """Return which sum of a monomial of colour (rows) times one of place (columns) the product of two features is: int
+    array of shape (M, K, M, K), by the terms of either.
     """
     by_colour, by_place = _pairs(colour_degree, 3), _pairs(position_degree, 2)
     return by_colour[:, None, :, None] * (int(by_place.max()) + 1) + by_place[:, None, :]

@@ -37,7 +37,7 @@ class SlopeGain:
 
 
 def slope_gains(readings: HeldOutReadings) -> tuple[SlopeGain, ...]:
-    """The gain of every band that enough pixels show."""
+    """Return the gain of every band that enough pixels show."""
     centred = _centred(readings)
     tilt = centred.tilt_deg
     bands = [(low, high, (tilt >= low) & (tilt < high)) for low, high in pairwise(BAND_EDGES_DEG)]
@@ -45,14 +45,14 @@ def slope_gains(readings: HeldOutReadings) -> tuple[SlopeGain, ...]:
 
 
 def _centred(readings: HeldOutReadings) -> HeldOutReadings:
-    """The readings with every ball's truth where its own readings put its centre."""
+    """Return the readings with every ball's truth where its own readings put its centre."""
     count = np.maximum(np.bincount(readings.ball), 1)
     off = [np.bincount(readings.ball, part) / count for part in (readings.slope - readings.truth).T]
     return replace(readings, truth=readings.truth + np.stack(off, axis=-1)[readings.ball])
 
 
 def _gain(low: float, high: float, readings: HeldOutReadings) -> SlopeGain:
-    """Ratio of sums over balls of Σ read · true and Σ true · true, both less the ball's means."""
+    """Return the ratio of sums over balls of Σ read · true and Σ true · true, both less the ball's means."""
     sums = np.array([_sums(readings, number) for number in np.unique(readings.ball)])
     total = sums.sum(axis=0)
     sigma = None
@@ -64,7 +64,7 @@ def _gain(low: float, high: float, readings: HeldOutReadings) -> SlopeGain:
 
 
 def gains_of_balls(slope: Float64Array, truth: Float64Array, ball: NDArray[np.intp]) -> Float64Array:
-    """Gain of each ball that shows enough of these pixels, float64 array of shape (balls,).
+    """Return the gain of each ball that shows enough of these pixels, float64 array of shape (balls,).
 
     slope, truth : float64 arrays of shape (N, 2)
     ball : int array of shape (N,)
@@ -113,5 +113,5 @@ class HeldOutReadings:
         return np.asarray(np.degrees(np.arctan(np.linalg.norm(self.truth, axis=1))))
 
     def select(self, rows: MaskArray) -> HeldOutReadings:
-        """Those of some pixels, bool array of shape (N,)."""
+        """Return those of some pixels, bool array of shape (N,)."""
         return HeldOutReadings(self.slope[rows], self.truth[rows], self.place[rows], self.ball[rows], self.radius_px)

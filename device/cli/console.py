@@ -58,14 +58,14 @@ def print_error(what: object) -> None:
 
 
 def store_folder(options: Options) -> Path:
-    """The folder given with `--store`, or the default one."""
+    """Return the folder given with `--store`, or the default one."""
     from device.store.store import default_store
 
     return options.store_folder or default_store()
 
 
 def open_store(options: Options, clock: Clock | None = None) -> BundleStore:
-    """The store of the options; without a clock it takes the system's."""
+    """Return the store of the options; without a clock it takes the system's."""
     from device.store.store import BundleStore  # here and above: help and wrong arguments need no store
     from hal.clock import SystemClock
 

@@ -194,7 +194,7 @@ DEFAULTS_FILE: Final = Path("/etc/default/retroscan")
 
 
 def chosen_board(given: str | None, board_file: Path = BOARD_FILE, defaults_file: Path = DEFAULTS_FILE) -> str:
-    """The board profile's name or path.
+    """Return the board profile's name or path.
 
     Raises
     ------

@@ -210,7 +210,7 @@ class TerminalOutput:
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """The stream's file descriptor."""
+        """Return the stream's file descriptor."""
         return self._stream.fileno()
 
     @property

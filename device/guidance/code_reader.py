@@ -14,7 +14,7 @@ BINNING: Final = 2
 
 
 def read_code(frame: RawFrame) -> str | None:
-    """The text of the frame's code, also a mirrored one; None where none can be read."""
+    """Return the text of the frame's code, also a mirrored one; None where none can be read."""
     grey = bin_bayer(frame, BINNING).rgb.mean(axis=-1)
     low, high = np.percentile(grey, (1.0, 99.0))
     spread = max(float(high - low), 1e-6)

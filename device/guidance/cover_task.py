@@ -31,8 +31,8 @@ class CoverMap:
     last: tuple[float, float]
 
     def lines(self, columns: int, rows: int | None = None) -> list[str]:
-        """The area in characters twice as high as wide, in at most so many columns and rows: # covered, · missing, o
-        the middle of the last press."""
+        """Return the area in characters twice as high as wide, in at most so many columns and rows: # covered, ·
+        missing, o the middle of the last press."""
         height, width = self.covered.shape
         step = max(-(-width // columns), 1 if rows is None else -(-height // (2 * rows)))
         cells: Any = np.where(self.covered[step // 2 :: step, step // 2 :: step][::2], "#", "·")
@@ -164,7 +164,7 @@ class Stand:
         return Stand(self.right_mm - right, self.down_mm - down, turn_deg, placed.overlap)
 
     def way_to(self, place_mm: tuple[float, float]) -> tuple[float, float]:
-        """The way to a place, mm to the right and down in the live view of this press."""
+        """Return the way to a place, mm to the right and down in the live view of this press."""
         way = np.array([place_mm[0] - self.right_mm, place_mm[1] - self.down_mm])
         right, down = _turned(way, -self.clockwise_deg).tolist()
         return right, down
@@ -214,7 +214,8 @@ class Covering:
         return found
 
     def next_place(self) -> tuple[float, float] | None:
-        """Middle of the field from where most is covered beside enough overlap, mm from the first press's middle.
+        """Return the middle of the field from where most is covered beside enough overlap, mm from the first press's
+        middle.
 
         What lies further up counts for more, so that rows are filled one after the other; of places that are worth as
         much, the nearest to the last press. None where nothing is left but slivers that a hand misses.
@@ -262,13 +263,14 @@ class Covering:
         return np.asarray(missing[bottom, right] - missing[top, right] - missing[bottom, left] + missing[top, left])
 
     def _overlap(self, middles: Float64Array, stand: Stand) -> Float64Array:
-        """Fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
+        """Return fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
         apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
         return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))
 
 
 def _turned(ways: Float64Array, clockwise_deg: float) -> Float64Array:
-    """Ways (..., 2), right and down in a view's directions, in those of the view that it is turned clockwise from."""
+    """Return ways (..., 2), right and down in a view's directions, in those of the view that it is turned clockwise
+    from."""
     cosine, sine = float(np.cos(np.radians(clockwise_deg))), float(np.sin(np.radians(clockwise_deg)))
     right, down = ways[..., 0], ways[..., 1]
     return np.stack([cosine * right - sine * down, sine * right + cosine * down], axis=-1)

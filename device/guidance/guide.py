@@ -53,7 +53,7 @@ class GuideModel:
         slab_um: float,
         lights: tuple[str, ...] = ("red", "green", "blue"),
     ) -> GuideModel:
-        """The model for live frames of the reference frame's size; `pitch_um` is the sensor's."""
+        """Return the model for live frames of the reference frame's size; `pitch_um` is the sensor's."""
         step = downsample_step(reference.shape)
         flat_field = np.maximum(bin_bayer(reference, step).rgb, np.float32(DARK_FLOOR))
         resized = slopes.resized(reference.shape, step) if slopes else None
@@ -86,7 +86,7 @@ class PressGuide:
         return None if self._previous is None else change(self._previous, self._smooth(frame))
 
     def read(self, frame: ReducedFrame) -> GuideReading:
-        """The reading of the next live frame."""
+        """Return the reading of the next live frame."""
         began_s = time.thread_time()
         model = self._model
         smooth = self._smooth(frame)
@@ -137,7 +137,7 @@ class PressGuide:
 
 
 def box_smoothed(values: Float32Array) -> Float32Array:
-    """Mean over 3x3 pixels with borders repeated: float32 array of shape (h, w, 3)."""
+    """Return the mean over 3x3 pixels with borders repeated: float32 array of shape (h, w, 3)."""
     padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) * np.float32(1.0 / 9.0), np.float32)
@@ -167,13 +167,13 @@ class PressMeasure:
 
 
 def measure_frame(frame: RawFrame, model: GuideModel, levels: Levels) -> PressMeasure:
-    """The press in a raw frame, under these levels of untouched skin in R, G and B."""
+    """Return the press in a raw frame, under these levels of untouched skin in R, G and B."""
     flat_field = model.flat_field * np.array(levels, np.float32)
     return measure_press(box_smoothed(downsample_bayer(frame).rgb / flat_field), model)
 
 
 def measure_press(smooth: Float32Array, model: GuideModel) -> PressMeasure:
-    """The press in a small intensity image, float32 array of shape (h, w, 3)."""
+    """Return the press in a small intensity image, float32 array of shape (h, w, 3)."""
     shaded: MaskArray = np.asarray(np.abs(smooth - 1.0).max(axis=-1) > SHADED)
     every = np.ones(shaded.shape, np.bool_)
     image = NormalizedImage(smooth, every, ~every)
@@ -199,7 +199,7 @@ def _lean_deg(lean: tuple[float, float]) -> float:
 
 
 def _lean_side(lean: tuple[float, float]) -> str:
-    """The side that is pressed deeper, where the skin is higher."""
+    """Return the side that is pressed deeper, where the skin is higher."""
     return _SIDES[round(np.arctan2(lean[1], lean[0]) / (np.pi / 4.0)) % 8]
 
 
@@ -280,12 +280,13 @@ class ReducedFrame:
     at_ns: int
 
     def picture(self) -> np.ndarray:
-        """The image for a screen: uint8 array of shape (h, w, 3), R, G, B, with gamma applied."""
+        """Return the image for a screen: uint8 array of shape (h, w, 3), R, G, B, with gamma applied."""
         return np.asarray(255.0 * np.sqrt(np.clip(self.rgb, 0.0, 1.0)) + 0.5, np.uint8)
 
 
 def downsample_step(shape: tuple[int, int]) -> int:
-    """Sensor pixels per pixel of the small image: the smallest even step that leaves at most `MAX_COLUMNS` columns."""
+    """Return the sensor pixels per pixel of the small image: the smallest even step that leaves at most `MAX_COLUMNS`
+    columns."""
     step = 2
     while shape[1] // step > MAX_COLUMNS:
         step += 2
@@ -293,7 +294,7 @@ def downsample_step(shape: tuple[int, int]) -> int:
 
 
 def downsample_bayer(frame: RawFrame) -> ReducedFrame:
-    """The small image of a raw frame, from the middle quad of every block."""
+    """Return the small image of a raw frame, from the middle quad of every block."""
     step = downsample_step(frame.shape)
     rows, columns = (size // step * step for size in frame.shape)
     first = step // 2 // 2 * 2

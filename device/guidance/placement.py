@@ -117,7 +117,7 @@ class Target:
         self._inverse_noise = np.where(enough, 1.0 / np.sqrt(np.maximum(area, 1)), 0.0).astype(np.float32)
 
     def place(self, live: HeightMap) -> Placement | Unplaced:
-        """The way from where `live` was taken to this press."""
+        """Return the way from where `live` was taken to this press."""
         slopes, relief = _slopes(live, self._pitch_um)
         if min(relief, self._relief) < MIN_SLOPE:
             return Unplaced("too little relief to know where this is: press a little deeper")
@@ -143,7 +143,7 @@ class Target:
         )
 
     def _verified(self, slopes: Complex) -> list[_Place]:
-        """The best places over all turns, judged over their true overlap, best first."""
+        """Return the best places over all turns, judged over their true overlap, best first."""
         peaks: list[_Place] = []
         for turn in np.radians(TURNS_DEG):
             turned, _ = _turned(slopes, float(turn))
@@ -167,7 +167,7 @@ class Target:
         return sorted((self._judged(one, *_turned(slopes, one.turn)) for one in distinct), key=lambda one: -one.rank)
 
     def _judged(self, place: _Place, turned: Complex, inside: Float32Array) -> _Place:
-        """A place with whole-pixel shift and its rank, agreement and overlap over what both see there."""
+        """Return a place with whole-pixel shift and its rank, agreement and overlap over what both see there."""
         right, down = round(place.right), round(place.down)
         rows, columns = self._slopes.shape
         here = slice(max(0, -down), min(rows, rows - down)), slice(max(0, -right), min(columns, columns - right))
@@ -188,7 +188,7 @@ class Target:
         )
 
     def _refined(self, place: _Place, slopes: Complex) -> _Place:
-        """The place by parabolas through the agreement around it, over shift and turn."""
+        """Return the place by parabolas through the agreement around it, over shift and turn."""
         step = float(np.radians(_FIRST_STEP_DEG))
         for _ in range(_ROUNDS):
             tried = []
@@ -249,7 +249,8 @@ def _apart(one: _Place, other: _Place) -> bool:
 
 
 def _turned(slopes: Complex, turn: float) -> tuple[Complex, Float32Array]:
-    """Slopes of a view turned back by `turn` about its middle, and where they are known: arrays of shape (h, w)."""
+    """Return slopes of a view turned back by `turn` about its middle, and where they are known: arrays of shape (h,
+    w)."""
     rows, columns = slopes.shape
     cosine, sine = float(np.cos(turn)), float(np.sin(turn))
     middle = 0.5 * (columns - 1), 0.5 * (rows - 1)
@@ -267,7 +268,7 @@ def _turned(slopes: Complex, turn: float) -> tuple[Complex, Float32Array]:
 
 
 def _fitted(slopes: Complex, shape: tuple[int, int]) -> Complex:
-    """The slopes cut or padded with 0 about their middle to a shape."""
+    """Return the slopes cut or padded with 0 about their middle to a shape."""
     if slopes.shape == shape:
         return slopes
     fitted = np.zeros(shape, np.complex64)
@@ -333,7 +334,7 @@ def sentence(found: Placement | Unplaced) -> str:
 
 
 def way_words(right_mm: float, down_mm: float, least_mm: float) -> str:
-    """A way in words, "8.0 mm left and 2.1 mm up", without parts shorter than `least_mm`."""
+    """Return a way in words, "8.0 mm left and 2.1 mm up", without parts shorter than `least_mm`."""
     return " and ".join(
         f"{abs(length):.1f} mm {positive if length > 0.0 else negative}"
         for length, positive, negative in ((right_mm, "right", "left"), (down_mm, "down", "up"))

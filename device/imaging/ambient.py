@@ -16,7 +16,7 @@ SAME: Final = 0.01
 
 
 def without_ambient(frame: RawFrame, dark: RawFrame) -> RawFrame:
-    """The frame without the light that a frame under no light shows; saturated pixels stay so.
+    """Return the frame without the light that a frame under no light shows; saturated pixels stay so.
 
     dark : of equal size and Bayer order, with nearly equal settings; its counts may have another scale
 
@@ -45,6 +45,6 @@ def _nearly_equal(one: CameraSettings, other: CameraSettings) -> bool:
 
 
 def ambient_fraction(dark: RawFrame) -> float:
-    """Mean light of a frame under no light, fraction of full scale."""
+    """Return the mean light of a frame under no light, fraction of full scale."""
     span = dark.white_level_dn - dark.black_level_dn
     return (float(dark.mosaic.mean()) - dark.black_level_dn) / span

@@ -55,5 +55,5 @@ def check_channel_order(frame: LinearFrame, flat_field: Float32Array, name: str)
 
 
 def _disagreement(light: Float32Array, rest: Float32Array) -> float:
-    """Median distance of log light from the reference's, averaged over colours."""
+    """Return the median distance of log light from the reference's, averaged over colours."""
     return float(np.median(np.abs(light - rest), axis=(0, 1)).mean())

@@ -49,7 +49,7 @@ def _position_polynomials(rows: int, columns: int, degree: int, step: int) -> ND
 
 
 def _robust_fit(design: NDArray[np.float64], target: NDArray[np.float64], rounds: int = 12) -> NDArray[np.float64]:
-    """Coefficients of a Tukey-weighted least-squares fit."""
+    """Return coefficients of a Tukey-weighted least-squares fit."""
     weight = np.ones_like(target)
     coefficients: NDArray[np.float64] = np.zeros(design.shape[1])
     for _ in range(rounds):

@@ -26,7 +26,7 @@ _COLOURS: Final = ("red", "green", "blue")
 
 
 def channel_levels(frame: RawFrame, percentile: float) -> Levels:
-    """A percentile of the R, G and B pixels, each as a fraction of full scale above black."""
+    """Return a percentile of the R, G and B pixels, each as a fraction of full scale above black."""
     scale = 1.0 / (frame.white_level_dn - frame.black_level_dn)
     found = []
     for colour in "RGB":
@@ -37,7 +37,7 @@ def channel_levels(frame: RawFrame, percentile: float) -> Levels:
 
 
 def _sites(frame: RawFrame, colour: str) -> NDArray[np.uint16]:
-    """The counts of all pixels of a colour: uint16 array of shape (n,)."""
+    """Return the counts of all pixels of a colour: uint16 array of shape (n,)."""
     sites = [i for i, letter in enumerate(frame.bayer_order) if letter == colour]
     return np.concatenate([frame.mosaic[i // 2 :: 2, i % 2 :: 2].ravel() for i in sites])
 
@@ -55,7 +55,7 @@ class SkinLevels:
 
     @classmethod
     def of_frame(cls, frame: RawFrame) -> Self:
-        """The levels of every `LIVE_STEP`-th cell of the mosaic, row and column: for every live frame."""
+        """Return the levels of every `LIVE_STEP`-th cell of the mosaic, row and column: for every live frame."""
         few = replace(frame, mosaic=_every_cell(frame.mosaic, LIVE_STEP))
         limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
         full = replace(few, mosaic=(few.mosaic >= limit).astype(np.uint16))
@@ -64,7 +64,7 @@ class SkinLevels:
 
 
 def _every_cell(mosaic: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
-    """Every `step`-th 2x2 cell of a mosaic in both directions: uint16 array of shape (h, w)."""
+    """Return every `step`-th 2x2 cell of a mosaic in both directions: uint16 array of shape (h, w)."""
     rows, columns = (size // 2 // step * step for size in mosaic.shape)
     cells = mosaic[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2)[::step, :, ::step]
     return np.ascontiguousarray(cells).reshape(2 * (rows // step), 2 * (columns // step))
@@ -83,7 +83,7 @@ class Brightness:
 
     @classmethod
     def of_frames(cls, reference: RawFrame, presses: Sequence[RawFrame]) -> Self:
-        """Brightness of a reference and its presses."""
+        """Return the brightness of a reference and its presses."""
         red, green, blue = (
             max(values)
             for values in zip(*(channel_levels(frame, BRIGHTEST_PERCENTILE) for frame in presses), strict=True)
@@ -92,7 +92,7 @@ class Brightness:
 
     @classmethod
     def of_figures(cls, figures: Mapping[str, float | None]) -> Self | None:
-        """Brightness from a calibration's figures; None when they lack it."""
+        """Return the brightness from a calibration's figures; None when they lack it."""
         values = [figures.get(f"{what}_level_{colour}") for what in ("flat", "brightest") for colour in _COLOURS]
         known = [value for value in values if value is not None]
         if len(known) < len(values):
@@ -100,7 +100,7 @@ class Brightness:
         return cls((known[0], known[1], known[2]), (known[3], known[4], known[5]))
 
     def figures(self) -> dict[str, float | None]:
-        """The figures for a calibration's record."""
+        """Return the figures for a calibration's record."""
         return {
             f"{what}_level_{colour}": level
             for what, levels in (("flat", self.flat), ("brightest", self.brightest))

@@ -105,7 +105,7 @@ variance 1/2. Of green half is seen: 1/4.
 
 
 def demosaic(frame: RawFrame) -> LinearFrame:
-    """Full-size linear frame from a Bayer mosaic; missing colours are interpolated bilinearly."""
+    """Return full-size linear frame from a Bayer mosaic; missing colours are interpolated bilinearly."""
     scale = np.float32(1.0 / (frame.white_level_dn - frame.black_level_dn))
     counts = cv2.cvtColor(frame.mosaic, _DEMOSAIC[frame.bayer_order])
     rgb = (counts.astype(np.float32) - np.float32(frame.black_level_dn)) * scale
@@ -120,7 +120,7 @@ def _clipped_neighbourhood(frame: RawFrame) -> MaskArray:
 
 
 def bin_bayer(frame: RawFrame, factor: int = 2) -> LinearFrame:
-    """Linear frame of shape (H / factor, W / factor), each channel the mean of its own pixels; factor is even.
+    """Return linear frame of shape (H / factor, W / factor), each channel the mean of its own pixels; factor is even.
 
     Incomplete bins at the end are left out.
     """
@@ -158,7 +158,8 @@ def _bin_band(
 def _summed_columns(
     mosaic: NDArray[np.uint16], factor: int, lane: type[np.uint16 | np.uint32]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Sums over bins of every second row from the first, of even and of odd columns: arrays (H / factor, W / factor).
+    """Return sums over bins of every second row from the first, of even and of odd columns: arrays (H / factor, W /
+    factor).
 
     Whole rows are added first, at memory speed. Then a pair of columns is viewed as one integer of twice the bits, so
     that both are added at once; `lane` is wide enough that no sum overflows into its neighbour.
@@ -205,7 +206,7 @@ def check_exposed_sample(sample: Float32Array, clipped_fraction: float, name: st
 
 
 def make_flat_field(reference: LinearFrame) -> Float32Array:
-    """The blurred reference: float32 array of shape (H, W, 3), fraction of full scale."""
+    """Return the blurred reference: float32 array of shape (H, W, 3), fraction of full scale."""
     blurred = cv2.GaussianBlur(reference.rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float32).reshape(reference.rgb.shape)
 

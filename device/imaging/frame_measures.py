@@ -24,7 +24,7 @@ MIN_CONTRAST: Final = 0.03
 
 
 def sharpness(intensity: NormalizedImage) -> float | None:
-    """Ratio of fine to coarser contrast at the strongest edges; None without edges."""
+    """Return the ratio of fine to coarser contrast at the strongest edges; None without edges."""
     green = np.ascontiguousarray(intensity.values[..., 1])
     fine, middle, coarse = (cv2.GaussianBlur(green, (0, 0), scale) for scale in SCALES_PX)
     coarser = float(np.percentile(np.abs(middle - coarse)[::2, ::2], EDGES_PERCENTILE))
@@ -38,7 +38,7 @@ SHADED: Final = 0.06
 
 
 def shaded_fraction(intensity: NormalizedImage) -> float:
-    """Fraction of valid pixels whose intensity differs from flat skin's."""
+    """Return the fraction of valid pixels whose intensity differs from flat skin's."""
     smooth = cv2.GaussianBlur(intensity.values, (0, 0), 2.0)
     red, green, blue = np.moveaxis(np.abs(smooth - 1.0) > SHADED, -1, 0)
     shaded = red | green | blue
@@ -95,7 +95,7 @@ class FocusMeter:
         self._has_fallen = False
 
     def read(self, frame: RawFrame) -> FocusReading:
-        """The reading with one more frame."""
+        """Return the reading with one more frame."""
         self._last.append(focus_figure(frame))
         figure = float(np.median(self._last))
         self._best = max(self._best, figure)
@@ -108,7 +108,8 @@ class FocusMeter:
 
 
 def focus_figure(frame: RawFrame) -> float:
-    """Standard deviation of the fine contrast at the field's centre, per thousand of the mean light; 0 in darkness."""
+    """Return the standard deviation of the fine contrast at the field's centre, per thousand of the mean light; 0 in
+    darkness."""
     rows, columns = frame.shape
     down, right = (round(size * (1.0 - CENTRE) / 4.0) * 2 for size in (rows, columns))  # even: whole Bayer quads
     centre = np.ascontiguousarray(frame.mosaic[down : rows - down, right : columns - right])

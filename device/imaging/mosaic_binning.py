@@ -21,7 +21,8 @@ def can_bin(shape: tuple[int, int]) -> bool:
 
 
 def bin_mosaic(frame: RawFrame) -> RawFrame:
-    """The frame at half its size: sums of four pixels of one colour, or their mean where sums would not fit 16 bits.
+    """Return the frame at half its size: sums of four pixels of one colour, or their mean where sums would not fit 16
+    bits.
 
     Raises
     ------
@@ -44,8 +45,8 @@ def bin_mosaic(frame: RawFrame) -> RawFrame:
 
 
 def unbin_mosaic(frame: RawFrame) -> RawFrame:
-    """A frame of twice the size in which all four pixels of one colour in a 4x4 block are alike, as `bin_mosaic` took
-    them together: a calibration of full-size frames reads it.
+    """Return a frame of twice the size in which all four pixels of one colour in a 4x4 block are alike, as `bin_mosaic`
+    took them together: a calibration of full-size frames reads it.
     """
     rows, columns = frame.shape
     blocks = frame.mosaic.reshape(rows // 2, 1, 2, columns // 2, 1, 2)

@@ -58,7 +58,8 @@ class MarkPattern:
 
     @classmethod
     def of(cls, reference: LinearFrame) -> MarkPattern | None:
-        """The pattern that untouched skin shows: many marks, of one size, evenly spaced; None where it shows none."""
+        """Return the pattern that untouched skin shows: many marks, of one size, evenly spaced; None where it shows
+        none."""
         rows, columns = reference.shape
         shorter = min(rows, columns)
         factor = max(1, int(SMALLEST * shorter / REDUCED_PX))
@@ -91,7 +92,7 @@ class MarkPattern:
         return np.asarray(cv2.dilate(under.astype(np.uint8), kernel), np.bool_)
 
     def taken_out_of(self, frame: LinearFrame) -> LinearFrame:
-        """The frame with light interpolated under its marks."""
+        """Return the frame with light interpolated under its marks."""
         hidden = self.hidden(frame).astype(np.uint8)
         planes = [
             cv2.inpaint(np.ascontiguousarray(frame.rgb[..., light]), hidden, 3.0, cv2.INPAINT_NS)
@@ -103,7 +104,7 @@ class MarkPattern:
 def _marks(
     rgb: Float32Array, largest_px: float, smallest_px: float
 ) -> tuple[MaskArray, NDArray[np.int32], NDArray[np.float64]]:
-    """Marks of a frame: bool array (H, W), True under them; their areas (N,), pixels; their centres (N, 2)."""
+    """Return marks of a frame: bool array (H, W), True under them; their areas (N,), pixels; their centres (N, 2)."""
     reach = max(3, round(largest_px)) | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     light = np.log(np.maximum(cv2.blur(rgb, (3, 3)).reshape(rgb.shape), np.float32(DARK_FLOOR)))

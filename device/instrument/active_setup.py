@@ -53,11 +53,11 @@ class ActiveSetup:
         self._selection: Selection | None = None
 
     def fitted(self) -> Hardware:
-        """The hardware with the mounted gel. Errors as for `with_active_gel`."""
+        """Return the hardware with the mounted gel. Errors as for `with_active_gel`."""
         return with_active_gel(self._hardware, self._store.root)
 
     def scanner(self) -> Scanner:
-        """The active scanner.
+        """Return the active scanner.
 
         Raises
         ------
@@ -69,13 +69,14 @@ class ActiveSetup:
         return self._scanner
 
     def scans_left(self) -> int | None:
-        """Number of scans that still fit, or will once a press makes room; None if unknown. Nothing is removed."""
+        """Return the number of scans that still fit, or will once a press makes room; None if unknown. Nothing is
+        removed."""
         with suppress(DeviceError, HalError):
             return self.scanner().scans_promised(self._states.state.settings.capture)
         return None
 
     def scanner_for_press(self) -> Scanner:
-        """The scanner for a press that begins now, after changes by other programs. Errors as for `scanner`."""
+        """Return the scanner for a press that begins now, after changes by other programs. Errors as for `scanner`."""
         self.follow()
         return self.scanner()
 
@@ -201,7 +202,7 @@ class ActiveSetup:
         show(self._hardware, "good" if passed else "doubtful")
 
     def seen_code(self) -> str | None:
-        """The text of the QR code or barcode before the camera; None where none can be read.
+        """Return the text of the QR code or barcode before the camera; None where none can be read.
 
         Raises
         ------
@@ -282,7 +283,7 @@ class ActiveSetup:
 
 
 def active_selection(store: BundleStore, hardware: Hardware) -> Selection:
-    """The mounted gel and active calibration as they are on the disk now."""
+    """Return the mounted gel and active calibration as they are on the disk now."""
     gel, active = gel_state(store.root, hardware), b""
     with suppress(OSError):
         active = (store.root / ACTIVE_FILE).read_bytes()
@@ -292,7 +293,7 @@ def active_selection(store: BundleStore, hardware: Hardware) -> Selection:
 def calibration_state(
     calibration: CalibrationBundle, registry: CalibrationRegistry, store: BundleStore
 ) -> CalibrationState:
-    """The active calibration. Errors as for `CalibrationRegistry.active_entry`."""
+    """Return the active calibration. Errors as for `CalibrationRegistry.active_entry`."""
     record = calibration.record
     entry = registry.active_entry()
     return CalibrationState(
@@ -307,13 +308,13 @@ def calibration_state(
 
 
 def calibration_age_s(calibration: CalibrationBundle, store: BundleStore) -> float | None:
-    """Age of a calibration by the wall clock; None if negative, when that clock is wrong."""
+    """Return the age of a calibration by the wall clock; None if negative, when that clock is wrong."""
     age_s = (store.wall_time() - calibration.record.created).total_seconds()
     return age_s if age_s >= 0.0 else None
 
 
 def gel_state(root: Path, hardware: Hardware) -> GelState:
-    """The mounted gel; the board's default while the store's record is damaged, which `Scanner` then refuses."""
+    """Return the mounted gel; the board's default while the store's record is damaged, which `Scanner` then refuses."""
     default = hardware.profile.gel
     try:
         gel = mounted_gel(root, default)

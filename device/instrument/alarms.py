@@ -22,7 +22,7 @@ NO_ROOM: Final = "no room for another scan: offload scans, or free space"
 
 
 def alarms(power: PowerReading, scans_left: int | None, root: str | None = None) -> tuple[str, ...]:
-    """Every alarm, one sentence each, most urgent first; None and unmeasured values raise none.
+    """Return every alarm, one sentence each, most urgent first; None and unmeasured values raise none.
 
     root : what is wrong with the root file system (`device.acquisition.selftest`)
     """

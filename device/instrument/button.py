@@ -38,7 +38,7 @@ class ButtonWatch:
         self.began_ns: int | None = None
 
     def wait(self, wait_s: float) -> ButtonEvent | None:
-        """The next event within `wait_s`: a push begins, is released, is held long, or is held until power off.
+        """Return the next event within `wait_s`: a push begins, is released, is held long, or is held until power off.
 
         Raises
         ------

@@ -55,7 +55,7 @@ class DemoDisk:
 
 
 def _held_bytes(folder: Path) -> int:
-    """Size of all files under a folder, bytes; those that vanish meanwhile count nothing."""
+    """Return the size of all files under a folder, bytes; those that vanish meanwhile count nothing."""
     total = 0
     for path in folder.rglob("*"):
         with suppress(OSError):

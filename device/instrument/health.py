@@ -22,7 +22,7 @@ IDLE_INTERVAL_S: Final = 10.0
 
 
 def health_state(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> HealthState:
-    """The present health, with the first complaint.
+    """Return the present health, with the first complaint.
 
     zero : the last zero check under this calibration
     """
@@ -39,7 +39,7 @@ def health_state(health: ScanHealth, gel: GelState, zero: ZeroCheck | None) -> H
 
 
 def zero_sentence(zero: ZeroCheck) -> str:
-    """The result of a zero check in words."""
+    """Return the result of a zero check in words."""
     if zero.flat_residual_um <= FLAT_RESIDUAL_UM:
         return f"Zero check passed: untouched skin reads flat to {zero.flat_residual_um:.1f} µm."
     return (

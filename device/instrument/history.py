@@ -57,7 +57,7 @@ class History:
 
 
 def read_history(store: BundleStore) -> History:
-    """The history of a store.
+    """Return the history of a store.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def read_history(store: BundleStore) -> History:
 
 
 def read_quick_look(store: BundleStore, scan_id: str) -> HeightMap | None:
-    """The quick look that was published with a scan; None without one.
+    """Return the quick look that was published with a scan; None without one.
 
     Raises
     ------

@@ -113,7 +113,7 @@ class Instrument:
         return self._states.state
 
     def take_events(self) -> tuple[Event, ...]:
-        """The events since the last call, oldest first."""
+        """Return the events since the last call, oldest first."""
         return self._states.take_events()
 
     # Commands: from any thread, executed by the next step.
@@ -287,11 +287,11 @@ class Instrument:
     # Scans and calibrations on the disk: from any thread, immediately.
 
     def history(self) -> History:
-        """Every scan, newest first. Reads the disk: not for every redraw."""
+        """Return every scan, newest first. Reads the disk: not for every redraw."""
         return read_history(self._store)
 
     def quick_look(self, scan_id: str) -> HeightMap | None:
-        """The stored quick look of a scan; errors as for `read_quick_look`."""
+        """Return the stored quick look of a scan; errors as for `read_quick_look`."""
         return read_quick_look(self._store, scan_id)
 
     def mark(self, scan_id: str, opinion: Opinion | None, note: str = "") -> None:
@@ -320,7 +320,7 @@ class Instrument:
         add_preset(self._store.root, preset)
 
     def wall_time(self) -> datetime:
-        """Time by the device's clock, UTC."""
+        """Return the time by the device's clock, UTC."""
         return self._store.wall_time()
 
     def export_to_stick(self) -> StickExport:
@@ -328,12 +328,12 @@ class Instrument:
         return export_to_stick(self._store.root, self._store.device_id, self._stick(), self.wall_time())
 
     def gels(self) -> tuple[GelState, ...]:
-        """Every gel that was ever mounted here."""
+        """Return every gel that was ever mounted here."""
         known = known_gels(self._store.root)
         return tuple(GelState(gel.gel_id, gel.slab_thickness_mm, gel.presses) for gel in known)
 
     def calibrations(self) -> tuple[RegisteredCalibration, ...]:
-        """Every calibration of the store by key and version; errors as for `CalibrationRegistry.list`."""
+        """Return every calibration of the store by key and version; errors as for `CalibrationRegistry.list`."""
         return CalibrationRegistry(self._store, self._hardware.profile).list()
 
     def network(self) -> NetworkInfo:
@@ -370,7 +370,7 @@ def _first_state(hardware: Hardware, store: BundleStore) -> InstrumentState:
 
 
 def _possible(settings: Settings, hardware: Hardware) -> Settings:
-    """The settings, with presses averaged where this hardware cannot take them light by light."""
+    """Return the settings, with presses averaged where this hardware cannot take them light by light."""
     return structs.replace(settings, capture="average") if mode_fault(settings.capture, hardware) else settings
 
 
@@ -380,7 +380,7 @@ class InlineExecutor(Executor):
     def submit(
         self, fn: Callable[Arguments, Result], /, *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Future[Result]:
-        """A finished future; an error of the instrument is kept in it, as in a thread's."""
+        """Return a finished future; an error of the instrument is kept in it, as in a thread's."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))

@@ -91,13 +91,13 @@ class LiveLoop:
             self._lit = False
 
     def wait_s(self) -> float:
-        """Time until the next live frame is due, s, in which the worker may wait for the button."""
+        """Return the time until the next live frame is due, s, in which the worker may wait for the button."""
         since_s = (self._hardware.clock.monotonic_ns() - self._stepped_ns) * 1e-9
         period_s = self._period_s()
         return min(max(period_s - since_s, 0.0), period_s)
 
     def step(self) -> LiveFrame | None:
-        """The next live frame and its reading; None while asleep.
+        """Return the next live frame and its reading; None while asleep.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class LiveLoop:
         return True
 
     def _period_s(self) -> float:
-        """Interval of live frames: slow while nobody waits for one."""
+        """Return the interval of live frames: slow while nobody waits for one."""
         state = self._states.state
         waits = state.live_shown or state.processing > 0 or state.auto_shutter or state.focus is not None
         return PERIOD_S if waits and not self.is_asleep() else UNSEEN_PERIOD_S

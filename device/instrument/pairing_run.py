@@ -108,12 +108,12 @@ class NetworkInfo:
 
 
 def network_info(host_key: Path) -> NetworkInfo:
-    """The network state now."""
+    """Return the network state now."""
     return NetworkInfo(os.uname().nodename, _addresses(), _fingerprint(host_key))
 
 
 def _addresses() -> tuple[str, ...]:
-    """Addresses that other machines may reach; the kernel gives the source address of a route to each target."""
+    """Return addresses that other machines may reach; the kernel gives the source address of a route to each target."""
     found = []
     for target in ("192.0.2.1", "10.55.0.1", "169.254.1.1"):
         try:

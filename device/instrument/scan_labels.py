@@ -19,7 +19,7 @@ _NUMBER: Final = re.compile(r"(\d+)(?!.*\d)")
 
 
 def next_part(part: str) -> str:
-    """The next part's name: "A-09" after "A-08", "lid-2" after "lid"; the last number in it counts."""
+    """Return the next part's name: "A-09" after "A-08", "lid-2" after "lid"; the last number in it counts."""
     found = _NUMBER.search(part)
     if found is None:
         return f"{part}-2"
@@ -41,7 +41,7 @@ class ScanLabels:
             self._set(annotations)
 
     def take(self) -> Annotations:
-        """The annotations of a scan that was taken now; the next part gets the next number."""
+        """Return the annotations of a scan that was taken now; the next part gets the next number."""
         with self._lock:
             taken = self._states.state.sticky
             if self._states.state.settings.number_parts and taken.part:

@@ -352,7 +352,7 @@ class ScanQueue:
             self.submit(taken)
 
     def _admitted(self, *, stores: bool) -> Scanner | None:
-        """The scanner if a press can be taken now, with room where it `stores` one; else the refusal is reported."""
+        """Return the scanner if a press can be taken now, with room where it `stores` one; else report the refusal."""
         if len(self._works) >= MAX_IN_WORK:
             self._stop_waiting()
         if len(self._works) >= MAX_IN_WORK:

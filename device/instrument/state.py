@@ -286,7 +286,7 @@ class StateStore:
         self._events.append(event)
 
     def take_events(self) -> tuple[Event, ...]:
-        """The events since the last call, oldest first; at most the last 1000 are kept."""
+        """Return the events since the last call, oldest first; at most the last 1000 are kept."""
         taken = []
         while self._events:
             taken.append(self._events.popleft())

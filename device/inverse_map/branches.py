@@ -1,4 +1,4 @@
-"""What curves of the inverse map read that is not intensity alone, each with its curve.
+"""Branches of the inverse map: variables beside intensity, each with its curve.
 
 One reads the root of intensity: shot noise is even in it, and shadows are not stretched.
 """
@@ -23,11 +23,11 @@ class RootIntensity:
     """Makes the root of intensity of intensity; it is the same at every place."""
 
     def seen(self, intensity: Float32Array, _place: NDArray[Any]) -> Float32Array:
-        """Roots of intensities (N, 3)."""
+        """Return roots of intensities (N, 3)."""
         return np.sqrt(np.maximum(intensity, np.float32(0.0)))
 
     def seen_rows(self, values: Float32Array, _across: Float32Array, _down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3)."""
+        """Return the same of whole rows (h, w, 3)."""
         return np.sqrt(np.maximum(values, np.float32(0.0)))
 
 
@@ -39,10 +39,10 @@ class Part(Protocol):
     """A curve of the map that reads slopes of intensity and place."""
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +52,11 @@ class IntensityCurve:
     curve: FeatureRegressor
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
         return self.curve.at(intensity, place)
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         return self.curve.rows(values, across, down)[0]
 
 
@@ -77,23 +77,23 @@ class RawLightBranch:
     at_rest: Float32Array | None = None
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
         u = self.curve.at(self.field.seen(intensity, place), place)
         return u if self.at_rest is None else u - between_nodes(self.at_rest, place)
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         u, _ = self.curve.rows(self.field.seen_rows(values, across, down), across, down)
         return u if self.at_rest is None else u - rows_between_nodes(self.at_rest, across, down)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         rest = {} if self.at_rest is None else {"at_rest": self.at_rest}
         return self.curve.arrays() | self.field.arrays() | {"share": np.array(self.share)} | rest
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> RawLightBranch | None:
-        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        """Return what `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
         if not arrays:
             return None
         share = float(arrays["share"])
@@ -118,20 +118,20 @@ class RootCurve:
     share: float
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
         return self.curve.at(RootIntensity().seen(intensity, place), place)
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         return self.curve.rows(RootIntensity().seen_rows(values, across, down), across, down)[0]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return self.curve.arrays() | {"share": np.array(self.share)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> RootCurve | None:
-        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        """Return what `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
         if not arrays:
             return None
         share = float(arrays["share"])
@@ -152,20 +152,20 @@ class NearLightBranch:
     curve: FeatureRegressor
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
         return self.curve.at(self.field.seen(intensity, place), place)
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         return self.curve.rows(self.field.seen_rows(values, across, down), across, down)[0]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return self.curve.arrays() | self.field.arrays()
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> NearLightBranch | None:
-        """What `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
+        """Return what `arrays` wrote, None where there are none; KeyError, ValueError or RecordError when malformed."""
         if not arrays:
             return None
         return cls(NearLightModel.from_arrays(arrays), FeatureRegressor.from_arrays(arrays, source, linear=True))

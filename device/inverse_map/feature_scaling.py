@@ -1,4 +1,4 @@
-"""How colour becomes the variables of a polynomial: its logarithm or itself, clipped to the balls' range and scaled."""
+"""Colour as variables of a polynomial: its logarithm or itself, clipped to the balls' range and scaled."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FeatureScaler:
 
     @classmethod
     def observed(cls, colours: Float32Array, *, linear: bool = False) -> FeatureScaler:
-        """The space of the observed colours, array of shape (N, 3)."""
+        """Return the space of the observed colours, array of shape (N, 3)."""
         seen = colours if linear else log_intensity(colours)
         low, high = np.percentile(seen, RANGE_PERCENT, axis=0)
         fields = (seen.mean(axis=0), np.maximum(2.0 * seen.std(axis=0), 1e-6), low, high)
@@ -52,24 +52,25 @@ class FeatureScaler:
         return 0.5 * float(self.scale.mean())
 
     def variables(self, colours: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard deviations."""
+        """Return the polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard
+        deviations."""
         seen = colours if self.linear else log_intensity(colours)
         clipped = np.clip(seen, self.low, self.high)
         excess = np.abs(seen - clipped).max(axis=-1) / np.float32(self.spread)
         return (clipped - self.centre) / self.scale, np.asarray(excess, np.float32)
 
     def intensity_range(self) -> tuple[Float64Array, Float64Array]:
-        """Intensities that a space of intensity clips to, float64 arrays of shape (3,): lowest and highest."""
+        """Return intensities that a space of intensity clips to, float64 arrays of shape (3,): lowest and highest."""
         low, high = (np.exp(bound.astype(np.float64)) - DARK_OFFSET for bound in (self.low, self.high))
         return low, high
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays but `linear`, which goes with what is read; `from_arrays` is its inverse."""
+        """Return everything as arrays but `linear`, which goes with what is read; `from_arrays` is its inverse."""
         return {name: getattr(self, name) for name in ("centre", "scale", "low", "high")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], *, linear: bool = False) -> FeatureScaler:
-        """The space that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the space that `arrays` wrote; KeyError or ValueError when malformed."""
         centre, scale, low, high = (
             np.asarray(arrays[name], np.float32).reshape(3) for name in ("centre", "scale", "low", "high")
         )

@@ -55,7 +55,7 @@ class RandomFourierFeatures:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of features."""
         return self.phase.size
 
     @property
@@ -64,18 +64,18 @@ class RandomFourierFeatures:
         return AMPLITUDE * float(np.sqrt(2.0 / self.count)) if self.count else 0.0
 
     def values(self, variables: NDArray[Any]) -> NDArray[Any]:
-        """The waves at colours' variables of shape (N, 3): array of shape (N, W) of the same type."""
+        """Return the waves at colours' variables of shape (N, 3): array of shape (N, W) of the same type."""
         kind = variables.dtype
         angle = variables @ self.direction.astype(kind) + self.phase.astype(kind)
         return np.asarray(kind.type(self.amplitude) * np.cos(angle))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays, nothing where there is no wave; `from_arrays` is its inverse."""
+        """Return everything as arrays, nothing where there is no wave; `from_arrays` is its inverse."""
         return {"direction": self.direction, "phase": self.phase} if self.count else {}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RandomFourierFeatures:
-        """The waves that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the waves that `arrays` wrote; KeyError or ValueError when malformed."""
         if not arrays:
             return cls.none()
         direction, phase = (np.asarray(arrays[name], np.float32) for name in ("direction", "phase"))

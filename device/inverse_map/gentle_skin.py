@@ -1,4 +1,4 @@
-"""What gentle slopes show anywhere in the field, as the balls tell it.
+"""Intensity of gentle slopes anywhere in the field, estimated from the balls.
 
 A matt skin of slope g shows, divided by its reference, I √(1 + |g|²) = 1 + a·g, where a is the light's direction;
 real coats add squares and cubes of g. All of them are polynomials in position under a point over a plane. Where the
@@ -54,7 +54,7 @@ class GentleSkin:
     """Intensity of gentle slopes by place.
 
     coefficients : float64 array of shape (F, 3), of `_features`
-    noise : float64 array of shape (3,), standard deviation of intensity at the pixels that told them
+    noise : float64 array of shape (3,), standard deviation of intensity at the pixels that they were fitted to
     light : what they are divided by, of untouched skin; None where they are not
     """
 
@@ -66,7 +66,7 @@ class GentleSkin:
     def of(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap | None = None
     ) -> GentleSkin:
-        """What gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
+        """Return what gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
 
         Where no slope is gentle every coefficient is zero: slopes show nothing.
         """
@@ -78,12 +78,12 @@ class GentleSkin:
     def best(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap
     ) -> GentleSkin:
-        """The same, divided by `light` where balls that are left out are predicted clearly better so."""
+        """Return the same, divided by `light` where balls that are left out are predicted clearly better so."""
         plain, lit = (_Equations.of(samples, slope, shape, over).held_out_error() for over in (None, light))
         return cls.of(samples, slope, shape, light if lit < LIT_GAIN * plain else None)
 
     def shown(self, slope: Float64Array, place: Float64Array) -> Float32Array:
-        """Intensities (N, 3) of slopes (N, 2) at position variables (N, 2)."""
+        """Return intensities (N, 3) of slopes (N, 2) at position variables (N, 2)."""
         lit = _features(slope, place) @ self.coefficients
         if self.light is not None:
             lit /= np.maximum(self.light.at(place), MIN_LIGHT)
@@ -91,7 +91,7 @@ class GentleSkin:
 
 
 def _features(slope: Float64Array, position: Float64Array) -> Float64Array:
-    """Slopes times monomials of position, then squares and cubes of slopes times fewer of them: shape (N, F)."""
+    """Return slopes times monomials of position, then squares and cubes of slopes times fewer of them: shape (N, F)."""
     place = monomials(position, BEND_DEGREE)
     p, q = slope.T
     squares = np.concatenate([square[:, None] * place for square in (p * p, p * q, q * q)], axis=1)
@@ -125,30 +125,31 @@ class _Equations:
         position, ball = field_position(samples.column[gentle], samples.row[gentle], shape), samples.ball[gentle]
         features = _features(slope[gentle], position)
         over = np.ones((len(ball), 3)) if light is None else light.at(position).astype(np.float64)
-        told = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(ball)), 1)
+        information = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(ball)), 1)
         dear = np.repeat([float(i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(PLACE_DEGREE)], 2)
         price = np.zeros(features.shape[1])
-        price[: len(dear)] = CUBIC_DOUBT**2 * told * dear
+        price[: len(dear)] = CUBIC_DOUBT**2 * information * dear
         return cls(features, over * lit_by(samples.intensity[gentle], slope[gentle]), ball, over, price)
 
     def normal(self, rows: MaskArray | slice = slice(None)) -> tuple[Float64Array, Float64Array]:
-        """Gram matrix (F, F) and moments (F, 3) of these rows."""
+        """Return the gram matrix (F, F) and moments (F, 3) of these rows."""
         features = self.features[rows]
         return features.T @ features, features.T @ self.lit[rows]
 
     def solution(self, gram: Float64Array, moment: Float64Array) -> Float64Array:
-        """Coefficients (F, 3); 0 where nothing is known."""
+        """Return coefficients (F, 3); 0 where nothing is known."""
         return np.asarray(np.linalg.lstsq(gram + np.diag(self.price), moment, rcond=None)[0])
 
     def noise(self, known: Float64Array) -> Float64Array:
-        """Standard deviation by channel of what coefficients (F, 3) leave of intensity; 0 without gentle slopes."""
+        """Return the standard deviation by channel of what coefficients (F, 3) leave of intensity; 0 without gentle
+        slopes."""
         if not len(self.ball):
             return np.zeros(3)
         left = (self.lit - self.features @ known) / np.maximum(self.light, MIN_LIGHT)
         return np.asarray(np.percentile(np.abs(left), ONE_SIGMA_PERCENT, axis=0))
 
     def held_out_error(self) -> float:
-        """Root mean square error of intensity at balls that are left out; infinite without gentle slopes."""
+        """Return the root mean square error of intensity at balls that are left out; infinite without gentle slopes."""
         gram, moment = self.normal()
         square, count = 0.0, 0
         for ball in np.unique(self.ball):

@@ -31,7 +31,7 @@ class IlluminationMap:
 
     @classmethod
     def of(cls, flat_field: Float32Array) -> IlluminationMap:
-        """The illumination map of a reference, float32 array of shape (H, W, 3), share of full scale."""
+        """Return the illumination map of a reference, float32 array of shape (H, W, 3), share of full scale."""
         rows, columns = flat_field.shape[:2]
         counts = [max(size // NODE_PX, 1) + 1 for size in (rows, columns)]
         row, column = (
@@ -44,28 +44,29 @@ class IlluminationMap:
         return cls(np.asarray(nodes / flat_field.mean(axis=(0, 1), dtype=np.float64), np.float32))
 
     def at(self, place: NDArray[Any]) -> Float32Array:
-        """Light of shape (N, 3) at position variables of shape (N, 2), -1 to 1 over the field."""
+        """Return the light of shape (N, 3) at position variables of shape (N, 2), -1 to 1 over the field."""
         return between_nodes(self.nodes, place)
 
     def seen(self, intensity: Float32Array, place: NDArray[Any]) -> Float32Array:
-        """Light of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
+        """Return the light of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
         return np.asarray(intensity * self.at(place), np.float32)
 
     def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Light of whole rows of intensities (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the light of whole rows of intensities (h, w, 3) at position variables `across` (w,) and `down`
+        (h,)."""
         return np.asarray(values * self.rows(across, down), np.float32)
 
     def rows(self, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Light of shape (h, w, 3) of whole rows at position variables `across` (w,) and `down` (h,)."""
+        """Return the light of shape (h, w, 3) of whole rows at position variables `across` (w,) and `down` (h,)."""
         return rows_between_nodes(self.nodes, across, down)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return {"nodes": self.nodes}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> IlluminationMap:
-        """The field that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the field that `arrays` wrote; KeyError or ValueError when malformed."""
         nodes = np.asarray(arrays["nodes"], np.float32)
         if not is_node_grid(nodes, 3):
             raise ValueError(f"light of shape {nodes.shape}")
@@ -73,12 +74,14 @@ class IlluminationMap:
 
 
 def is_node_grid(nodes: Float32Array, values: int) -> bool:
-    """Whether an array can be read between nodes: finite, so many values at each of two or more places a side."""
+    """Return True if an array can be read between nodes: finite, so many values at each of two or more places a
+    side."""
     return nodes.ndim == 3 and nodes.shape[2] == values and min(nodes.shape[:2]) >= 2 and bool(np.isfinite(nodes).all())
 
 
 def between_nodes(nodes: Float32Array, place: NDArray[Any]) -> Float32Array:
-    """Values (N, C) at position variables (N, 2) of what `nodes`, (h, w, C), hold at places even over the field."""
+    """Return values (N, C) at position variables (N, 2) of what `nodes`, (h, w, C), hold at places even over the
+    field."""
     (left, right_share), (top, down_share) = (_between(place[:, axis], nodes.shape[1 - axis]) for axis in (0, 1))
     upper = _mix(nodes[top, left], nodes[top, left + 1], right_share)
     lower = _mix(nodes[top + 1, left], nodes[top + 1, left + 1], right_share)
@@ -86,7 +89,7 @@ def between_nodes(nodes: Float32Array, place: NDArray[Any]) -> Float32Array:
 
 
 def rows_between_nodes(nodes: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-    """The same for whole rows: shape (h, w, C) at position variables `across` (w,) and `down` (h,)."""
+    """Return the same for whole rows: shape (h, w, C) at position variables `across` (w,) and `down` (h,)."""
     left, right_share = _between(across, nodes.shape[1])
     top, down_share = _between(down, nodes.shape[0])
     coarse = nodes[top] + (nodes[top + 1] - nodes[top]) * down_share[:, None, None]
@@ -96,7 +99,7 @@ def rows_between_nodes(nodes: Float32Array, across: Float32Array, down: Float32A
 
 
 def _between(position: NDArray[Any], count: int) -> tuple[NDArray[np.intp], Float32Array]:
-    """Index of the node before each position variable, and the share of the way to the next, float32."""
+    """Return the index of the node before each position variable, and the share of the way to the next, float32."""
     at = np.clip((np.asarray(position, np.float64) + 1.0) * (0.5 * (count - 1)), 0.0, count - 1.0)
     before = np.minimum(at.astype(np.intp), count - 2)
     return before, (at - before).astype(np.float32)

@@ -1,4 +1,4 @@
-"""How far a pixel's colour and place lie from the training pixels: the leverage of ridge regression.
+"""Distance of a pixel's colour and place from the training pixels: the leverage of ridge regression.
 
 A polynomial's answer has the variance h = φᵀ (ΦᵀΦ + λ)⁻¹ φ times that of the samples, φ the pixel's features. Where h
 is larger than at any ball the answer is extrapolated, however smooth it looks.
@@ -22,7 +22,7 @@ TRAINED_PERCENT: Final = 99.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leverage:
-    """What the leverage of a curve's features is computed with.
+    """Square root of the covariance of a curve's coefficients, which gives the leverage of its features.
 
     root : float32 array of shape (M K, M K); h = |φᵀ root|² for features φ of the curve
     trained : the highest leverage that counts as trained
@@ -33,23 +33,23 @@ class Leverage:
 
     @classmethod
     def of(cls, root: Float64Array, balls: Float64Array) -> Leverage:
-        """The leverage whose root over features is known, and its values (N,) at the pixels of balls."""
+        """Return the leverage whose root over features is known, and its values (N,) at the pixels of balls."""
         return cls(root.astype(np.float32), float(np.percentile(balls, TRAINED_PERCENT)))
 
     def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
-        """Leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest of the training
-        pixels.
+        """Return the leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest of the
+        training pixels.
         """
         design = curve.design(colours, place)
         return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.trained, np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return {"root": self.root, "taught": np.array(self.trained)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], curve: FeatureRegressor) -> Leverage:
-        """The leverage of `curve` that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the leverage of `curve` that `arrays` wrote; KeyError or ValueError when malformed."""
         root = np.asarray(arrays["root"], np.float32)
         features = curve.coefficients.shape[0] * curve.coefficients.shape[1]
         trained = float(arrays["taught"])

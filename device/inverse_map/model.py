@@ -66,7 +66,7 @@ class InverseMap:
     rest_bump : mean stereographic slope that curves which are free to misread untouched skin read there, nodes as of
         `noise_bias`; it is taken off what looks untouched, and less of what does not. None where they read 0
     noise_bias : what the noise of single full-size pixels adds to the mean stereographic slope of untouched skin, and
-        what the reference's own noise adds to it where presses' free skin tells; float32 array of shape (h, w, 2) at
+        what the reference's own noise adds to it where presses show free skin; float32 array of shape (h, w, 2) at
         places even over the field, borders included; None where not measured
     """
 
@@ -113,7 +113,7 @@ class InverseMap:
             )
 
     def gradients(self, image: NormalizedImage, binning: int = 1) -> GradientField:
-        """Slope, validity and relative confidence of every pixel of an image binned by `binning`.
+        """Return the slope, validity and relative confidence of every pixel of an image binned by `binning`.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class InverseMap:
         return replace(self, noise_bias=None, rest_bump=rest_nodes(replace(self, rest_bump=None)))
 
     def on_grid(self, values: Float32Array, column: NDArray[Any], row: NDArray[Any]) -> Float32Array:
-        """Slopes (h, w, 2) for intensities (h, w, 3) without noise at full-size columns (w,) and rows (h,)."""
+        """Return slopes (h, w, 2) for intensities (h, w, 3) without noise at full-size columns (w,) and rows (h,)."""
         quiet = self.quiet
         across = ((2.0 * column + 1.0) / self.shape[1] - 1.0).astype(np.float32)
         down = ((2.0 * row + 1.0) / self.shape[0] - 1.0).astype(np.float32)
@@ -168,7 +168,7 @@ class InverseMap:
     def _rows(
         self, values: Float32Array, across: Float32Array, down: Float32Array
     ) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Slopes (h, w, 2), excess (h, w) and the curves' variance (h, w) of whole rows.
+        """Return slopes (h, w, 2), excess (h, w) and the curves' variance (h, w) of whole rows.
 
         across, down : position variables, (w,) and (h,)
         """
@@ -189,13 +189,13 @@ class InverseMap:
         return np.asarray(slope_from_stereographic(mean), np.float32), excess, spread
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
-        """Slopes of shape (N, 2) for intensities of shape (N, 3) of single pixels at full-size coordinates."""
+        """Return slopes of shape (N, 2) for intensities of shape (N, 3) of single pixels at full-size coordinates."""
         place = field_position(column.astype(np.float64), row.astype(np.float64), self.shape)
         u = self.stereographic_at(intensity, place)
         return slope_from_stereographic(u if self.noise_bias is None else u - between_nodes(self.noise_bias, place))
 
     def stereographic_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of intensities (N, 3) without noise at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of intensities (N, 3) without noise at position variables (N, 2)."""
         u = np.zeros((len(place), 2))
         for part, share in self.parts:
             u += share * part.u_at(intensity, place)
@@ -204,7 +204,7 @@ class InverseMap:
         return u
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays, for an npz file; `from_arrays` is its inverse."""
+        """Return everything as arrays, for an npz file; `from_arrays` is its inverse."""
         named = {f"domain_{name}": array for name, array in self.domain.arrays().items()} | self.curve.arrays()
         for prefix, part in (
             ("light", self.light),
@@ -222,7 +222,7 @@ class InverseMap:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str) -> InverseMap:
-        """The map that `arrays` wrote; `source` names the file in errors.
+        """Return the map that `arrays` wrote; `source` names the file in errors.
 
         Raises
         ------
@@ -255,13 +255,14 @@ def _slope_nodes(arrays: Mapping[str, NDArray[Any]], name: str) -> Float32Array 
 
 
 def rest_likeness(intensity: Float32Array) -> Float32Array:
-    """How much intensities (..., 3) look like untouched skin: 1 at intensity 1, a quarter at `REST_WIDTH` from it."""
+    """Return how much intensities (..., 3) look like untouched skin: 1 at intensity 1, a quarter at `REST_WIDTH` from
+    it."""
     apart = ((intensity - np.float32(1.0)) ** 2).sum(axis=-1) * np.float32(1.0 / REST_WIDTH**2)
     return np.asarray(np.float32(1.0) / (np.float32(1.0) + apart) ** 2, np.float32)
 
 
 def rest_nodes(inverse_map: InverseMap) -> Float32Array:
-    """What a map's curves read on untouched skin, nodes (h, w, 2) as of `InverseMap.rest_bump`."""
+    """Return what a map's curves read on untouched skin, nodes (h, w, 2) as of `InverseMap.rest_bump`."""
     places = np.linspace(-1.0, 1.0, REST_NODES)
     place = np.stack(np.broadcast_arrays(places[None, :], places[:, None]), axis=-1).reshape(-1, 2)
     read = inverse_map.stereographic_at(np.ones((len(place), 3), np.float32), place)

@@ -30,7 +30,7 @@ OLD_PLACE_DEGREE: Final = 2
 """Degree of files written before."""
 
 CUBIC_DOUBT: Final = 0.1
-"""Price of terms of degree 3, relative to what one ball tells of a direction: a dozen balls leave some of them open."""
+"""Price of terms of degree 3, relative to one ball's information on a direction: a dozen balls leave some open."""
 
 GENTLE: Final = 0.35
 """Slopes up to which samples tell the directions: no light has set behind them."""
@@ -62,7 +62,7 @@ class NearLightModel:
 
     @classmethod
     def of(cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> NearLightModel:
-        """The directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
+        """Return the directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
 
         Where no slope is gentle every direction is zero, i.e. uninformative.
         """
@@ -72,8 +72,8 @@ class NearLightModel:
         bends = _bends(slope[gentle], place[:, :1])
         lit = lit_by(samples.intensity[gentle], slope[gentle])
         dear = np.repeat([float(i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(PLACE_DEGREE)], 2)
-        told = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(samples.ball[gentle])), 1)
-        penalty = np.diag(np.append(CUBIC_DOUBT * np.sqrt(told) * dear, np.zeros(bends.shape[1])))
+        information = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(samples.ball[gentle])), 1)
+        penalty = np.diag(np.append(CUBIC_DOUBT * np.sqrt(information) * dear, np.zeros(bends.shape[1])))
         design = np.concatenate([np.concatenate([features, bends], axis=1), penalty])
         directions = np.linalg.lstsq(design, np.concatenate([lit, np.zeros((len(penalty), 3))]), rcond=None)[0]
         return cls(directions[: features.shape[1]].reshape(place.shape[1], 2, 3).astype(np.float32))
@@ -93,17 +93,18 @@ class NearLightModel:
         return float(np.copysign(max(VOLUME_SHARE * abs(median), MIN_VOLUME), median))
 
     def seen(self, intensity: Float32Array, place: Float64Array) -> Float32Array:
-        """Slopes p, q and brightness 1 / s of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
+        """Return slopes p, q and brightness 1 / s of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""
         directions = np.tensordot(monomials(place, self.degree), self.directions.astype(np.float64), axes=1)
         return _solved(intensity, directions[:, 0], directions[:, 1], self.min_volume)
 
     def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """The same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         place = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1).reshape(-1, 2)
         return self.seen(values.reshape(-1, 3), place.astype(np.float64)).reshape(values.shape)
 
     def by_powers(self) -> Float32Array:
-        """Directions by component, channel, and powers of column and row position: float32 array (2, 3, 4, 4)."""
+        """Return directions by component, channel, and powers of column and row position: float32 array (2, 3, 4,
+        4)."""
         powers = PLACE_DEGREE + 1
         table = np.zeros((2, 3, powers, powers), np.float32)
         for term, (i, j) in enumerate(position_exponents(self.degree)):
@@ -111,12 +112,12 @@ class NearLightModel:
         return table
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return {"directions": self.directions}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> NearLightModel:
-        """The field that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the field that `arrays` wrote; KeyError or ValueError when malformed."""
         directions = np.asarray(arrays["directions"], np.float32)
         if directions.shape[1:] != (2, 3) or len(directions) not in _DEGREES or not np.isfinite(directions).all():
             raise ValueError(f"directions of lights of shape {directions.shape}")
@@ -124,7 +125,7 @@ class NearLightModel:
 
 
 def direction_features(slope: Float64Array, place: Float64Array) -> Float64Array:
-    """What directions are multiplied by to give a·g: float64 array of shape (N, 2 K).
+    """Return what directions are multiplied by to give a·g: float64 array of shape (N, 2 K).
 
     slope : float64 array of shape (N, 2)
     place : float64 array of shape (N, K), monomials of position
@@ -133,7 +134,7 @@ def direction_features(slope: Float64Array, place: Float64Array) -> Float64Array
 
 
 def _bends(slope: Float64Array, place: Float64Array) -> Float64Array:
-    """Squares and cubes of slopes: what skins that are not matt add, so that a is what holds at slope zero."""
+    """Return squares and cubes of slopes: what skins that are not matt add, so that a is what holds at slope zero."""
     p, q = slope.T
     square = (slope**2).sum(axis=1, keepdims=True)
     return np.concatenate([np.stack([p * p, p * q, q * q], axis=1), square * direction_features(slope, place)], axis=1)

@@ -1,4 +1,4 @@
-"""What pixel noise adds to the mean slope of untouched skin: the map bends, so that its mean is not that of the mean.
+"""Bias from pixel noise of the mean slope of untouched skin: the map bends, so that its mean is not that of the mean.
 
 A pixel's noise passes through a curved map: E[u(1 + n)] is not u(1). The difference is a few ten-thousandths of slope,
 where a light is dark a hundredth, and it is the same in every frame: integrated, micrometres of bowl and tilt. It is
@@ -38,7 +38,7 @@ _BATCH: Final = 8192
 
 
 def less_noise(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> InverseMap:
-    """The map less what pixel noise adds on untouched skin, in `noise_bias`.
+    """Return the map less what pixel noise adds on untouched skin, in `noise_bias`.
 
     Of a map that is free to miss untouched skin in `rest_bump`: noise carries pixels away from intensity 1, so that
     less is taken off them, and what is must be larger.
@@ -57,7 +57,7 @@ def less_noise(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> In
 
 
 def measure_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> Float32Array:
-    """Mean stereographic slope that pixel noise adds on untouched skin, nodes as in `InverseMap.noise_bias`.
+    """Return the mean stereographic slope that pixel noise adds on untouched skin, nodes as in `InverseMap.noise_bias`.
 
     frames : as for `less_noise`
     """
@@ -69,7 +69,8 @@ def measure_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage
 def _noise_at_places(
     inverse_map: InverseMap, frames: Sequence[NormalizedImage]
 ) -> tuple[Float32Array, Float64Array, NDArray[np.intp], tuple[int, int]]:
-    """Noise (N, 3) at position variables (N, 2), the cell of each, and how many cells down and across there are."""
+    """Return the noise (N, 3) at position variables (N, 2), the cell of each, and how many cells down and across there
+    are."""
     rows, columns = inverse_map.shape
     across = min(CELLS_ACROSS, columns)
     cells = max(round(across * rows / columns), 1), across
@@ -102,7 +103,7 @@ def _typical_noise(noises: Sequence[Float32Array], cell: NDArray[np.intp], count
 
 
 def _without_edges(noise: Float32Array, cell: NDArray[np.intp], count: int) -> Float32Array:
-    """The noise with 0 where it is far louder than is usual in its cell: an edge, not noise."""
+    """Return the noise with 0 where it is far louder than is usual in its cell: an edge, not noise."""
     power = (noise**2).sum(axis=1)
     order = np.lexsort((power, cell))
     pixels = np.bincount(cell, minlength=count)
@@ -121,7 +122,7 @@ def _batches(count: int) -> list[slice]:
 
 
 def _at_nodes(values: Float64Array, cell: NDArray[np.intp], cells: tuple[int, int]) -> Float32Array:
-    """Means over cells, (cells[0] + 1, cells[1] + 1, 2), carried to the cells' corners."""
+    """Return means over cells, (cells[0] + 1, cells[1] + 1, 2), carried to the cells' corners."""
     count = np.maximum(np.bincount(cell, minlength=cells[0] * cells[1]), 1)
     means = np.stack([np.bincount(cell, part, cells[0] * cells[1]) / count for part in values.T], axis=-1)
     padded: NDArray[Any] = np.pad(

@@ -41,7 +41,7 @@ def write_model(path: Path, inverse_map: InverseMap) -> None:
 
 
 def read_model(path: Path) -> InverseMap:
-    """The inverse map in a file.
+    """Return the inverse map in a file.
 
     Raises
     ------

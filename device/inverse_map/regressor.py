@@ -44,7 +44,7 @@ class FeatureRegressor:
     waves: RandomFourierFeatures = field(default_factory=RandomFourierFeatures.none)
 
     def rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Stereographic slope (h, w, 2) and excess (h, w) of whole rows of colours (h, w, 3).
+        """Return the stereographic slope (h, w, 2) and excess (h, w) of whole rows of colours (h, w, 3).
 
         across, down : float32 arrays of shape (w,) and (h,), position variables of columns and rows
         """
@@ -58,7 +58,7 @@ class FeatureRegressor:
         return u, excess.reshape(height, width)
 
     def at(self, values: Float32Array, place: Float64Array) -> Float64Array:
-        """Stereographic slopes (N, 2) of colours (N, 3) at position variables (N, 2)."""
+        """Return the stereographic slopes (N, 2) of colours (N, 3) at position variables (N, 2)."""
         u = np.empty((len(place), 2))
         coefficients = self.coefficients.astype(np.float64)
         for part in blocks_of(len(place)):
@@ -72,7 +72,7 @@ class FeatureRegressor:
         return design_matrix(self.colours, self.colour_degree, self.position_degree, values, place, self.waves)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         named = {f"colour_{name}": array for name, array in self.colours.arrays().items()}
         named |= {f"wave_{name}": array for name, array in self.waves.arrays().items()}
         return named | {
@@ -82,7 +82,7 @@ class FeatureRegressor:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], source: str, *, linear: bool = False) -> FeatureRegressor:
-        """The curve that `arrays` wrote; KeyError or ValueError when malformed.
+        """Return the curve that `arrays` wrote; KeyError or ValueError when malformed.
 
         source : the file, for errors
         linear : whether its colour space takes colours as they are
@@ -112,7 +112,7 @@ def design_matrix(
     place: Float64Array,
     waves: RandomFourierFeatures,
 ) -> Float64Array:
-    """Every term of colour times every position monomial: float64 array of shape (N, M K).
+    """Return every term of colour times every position monomial: float64 array of shape (N, M K).
 
     values : float32 array of shape (N, 3), colours
     place : float64 array of shape (N, 2), position variables
@@ -124,17 +124,18 @@ def design_matrix(
 
 
 def colour_terms(variables: NDArray[Any], degree: int, waves: RandomFourierFeatures) -> NDArray[Any]:
-    """Monomials up to `degree` and then waves of colours' variables (N, 3): array of shape (N, M) of their type."""
+    """Return monomials up to `degree` and then waves of colours' variables (N, 3): array of shape (N, M) of their
+    type."""
     terms = monomials(variables, degree)
     return np.concatenate([terms, waves.values(variables)], axis=-1) if waves.count else terms
 
 
 def colour_rows(variables: NDArray[Any], degree: int, waves: RandomFourierFeatures) -> NDArray[Any]:
-    """The same with every term in a row: shape (M, N), from variables of shape (3, N)."""
+    """Return the same with every term in a row: shape (M, N), from variables of shape (3, N)."""
     terms = monomial_rows(variables, degree)
     return np.concatenate([terms, waves.values(variables.T).T]) if waves.count else terms
 
 
 def with_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    """The arrays whose name begins with `prefix`, without it."""
+    """Return the arrays whose name begins with `prefix`, without it."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

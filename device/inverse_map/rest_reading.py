@@ -1,4 +1,4 @@
-"""What a curve reads on untouched skin, which has no slope: its flat bias, which is taken off every reading.
+"""Flat bias of a curve, its slope on untouched skin, which has none: it is subtracted from every slope.
 
 A smooth curve that is fitted to balls misses zero at intensity 1 by a few thousandths, differently over the field;
 integrated, that is a bowl under everything. So every feature φ of a curve is replaced by its difference from the same
@@ -22,13 +22,13 @@ from device.surface.fields import Float32Array, Float64Array
 
 
 def seen_at_rest(place: Float64Array, reading: Reading | None) -> Float32Array:
-    """Colours (N, 3) that a curve reads on untouched skin: intensity 1, or what `reading` makes of it."""
+    """Return colours (N, 3) that a curve reads on untouched skin: intensity 1, or what `reading` makes of it."""
     ones = np.ones((len(place), 3), np.float32)
     return ones if reading is None else reading.seen(ones, place)
 
 
 def flat_at_rest(curve: FeatureRegressor, coefficients: Float64Array, reading: Reading | None) -> Float64Array:
-    """Coefficients (M K, C) for features, from those for features less the features of untouched skin.
+    """Return coefficients (M K, C) for features, from those for features less the features of untouched skin.
 
     The constant of colour takes what the others read of untouched skin. Not for a curve of light, whose colours of
     untouched skin differ from place to place: see `light_at_rest`.
@@ -43,7 +43,7 @@ def flat_at_rest(curve: FeatureRegressor, coefficients: Float64Array, reading: R
 
 
 def light_at_rest(curve: FeatureRegressor, field: IlluminationMap) -> Float32Array:
-    """Stereographic slope (h, w, 2) that a curve of light reads on untouched skin, at the field's nodes."""
+    """Return the stereographic slope (h, w, 2) that a curve of light reads on untouched skin, at the field's nodes."""
     rows, columns = field.nodes.shape[:2]
     across, down = (np.linspace(-1.0, 1.0, count) for count in (columns, rows))
     place = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1).reshape(-1, 2)
@@ -52,5 +52,5 @@ def light_at_rest(curve: FeatureRegressor, field: IlluminationMap) -> Float32Arr
 
 
 def _parts(place: NDArray[Any], size: int = 8192) -> list[NDArray[Any]]:
-    """Places in pieces whose features fit in memory."""
+    """Return places in pieces whose features fit in memory."""
     return [place[first : first + size] for first in range(0, len(place), size)]

@@ -71,7 +71,7 @@ SETTLED: Final = LEVEL_SIGMA / 3.0
 """Change of a frame's levels below which the search for them ends."""
 
 OUTLYING: Final = 3.0
-"""Standard deviations at which the prior of a gain or offset counts half: a lamp is replaced, a blind is opened."""
+"""Standard deviations at which the prior of a gain or offset counts half: a light is replaced, a blind is opened."""
 
 POOLED_CELLS: Final = 2.0
 """Standard deviation, in cells, of the Gaussian of a neighbourhood."""
@@ -265,7 +265,7 @@ class SkinAtRest:
         return np.asarray(start + steps / (one * twice - once**2)[:, None])
 
     def _field(self, levels: Float64Array) -> Float32Array:
-        """Log intensity (h, w, 3) of untouched skin under levels (3, 2)."""
+        """Return the log intensity (h, w, 3) of untouched skin under levels (3, 2)."""
         light = np.maximum(1.0 + levels[:, 1:] * self._contrast, LEAST_LIGHT)
         return np.asarray((levels[:, :1] + np.log(light)).T.reshape(self.darkness.shape), np.float32)
 
@@ -280,7 +280,7 @@ class SkinAtRest:
 
 
 def _cells(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Rows and columns of cells of a field of `shape` (H, W)."""
+    """Return rows and columns of cells of a field of `shape` (H, W)."""
     across = min(CELLS_ACROSS, shape[1] // 2)
     return max(round(shape[0] * across / shape[1]), 1), across
 
@@ -292,7 +292,8 @@ def _reduced(values: NDArray[Any], size: tuple[int, int]) -> Float32Array:
 def _cell_logs(
     image: NormalizedImage, size: tuple[int, int], squares: Float32Array | None = None
 ) -> tuple[Float32Array, Float32Array]:
-    """Log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w, 3).
+    """Return the log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w,
+    3).
 
     squares : as of `SkinAtRest.evidence`
     """
@@ -313,14 +314,14 @@ def _far_from(balls: Sequence[Ball], shape: tuple[int, int], size: tuple[int, in
 
 
 def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
-    """Mean of free cells (h, w, 3) over their neighbourhood."""
+    """Return the mean of free cells (h, w, 3) over their neighbourhood."""
     share = np.maximum(cv2.GaussianBlur(free.astype(np.float32), (0, 0), POOLED_CELLS), np.float32(0.05))
     known = np.ascontiguousarray(left * free[..., None], np.float32)
     return np.asarray(cv2.GaussianBlur(known, (0, 0), POOLED_CELLS) / share[..., None], np.float32)
 
 
 def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
-    """Squared Mahalanobis distance a channel of values (..., h, w, 3)."""
+    """Return the squared Mahalanobis distance a channel of values (..., h, w, 3)."""
     return _squared(left, np.linalg.inv(covariance.astype(np.float64)))
 
 
@@ -343,7 +344,7 @@ def _diagonal(variance: Float64Array) -> Float32Array:
 
 
 def _smoothed(values: Float64Array) -> Float64Array:
-    """Mean over a neighbourhood of cells of an array (h, w, ...)."""
+    """Return the mean over a neighbourhood of cells of an array (h, w, ...)."""
     flat = values.reshape(*values.shape[:2], -1)
     sigma = flat.shape[1] / 16.0
     smooth = [cv2.GaussianBlur(np.ascontiguousarray(flat[..., part]), (0, 0), sigma) for part in range(flat.shape[-1])]
@@ -351,7 +352,8 @@ def _smoothed(values: Float64Array) -> Float64Array:
 
 
 def _robust_covariance(left: Float32Array, weight: Float64Array, free: MaskArray, floor: Float64Array) -> Float32Array:
-    """Covariance (h, w, 3, 3) of what gains and offsets leave of N presses (N, h, w, 3), smooth over the field.
+    """Return the covariance (h, w, 3, 3) of what gains and offsets leave of N presses (N, h, w, 3), smooth over the
+    field.
 
     weight : of the presses' cells, shape (N, h, w)
     floor : least variance, shape (h, w, 3)
@@ -367,7 +369,8 @@ def _robust_covariance(left: Float32Array, weight: Float64Array, free: MaskArray
 
 
 def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
-    """Median over presses of the variance within free cells, shape (h, w, 3); of all free cells where none shows it."""
+    """Return the median over presses of the variance within free cells, shape (h, w, 3); of all free cells where none
+    shows it."""
     shown = np.where(free[..., None], variances, np.nan)
     everywhere = np.nanmedian(shown.reshape(-1, 3), axis=0)
     seen = free.sum(axis=0) >= MIN_PRESSES

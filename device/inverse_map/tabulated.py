@@ -66,7 +66,7 @@ class TabulatedInverseMap:
 
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> TabulatedInverseMap:
-        """The tables of a map, for images binned by `binning`."""
+        """Return the tables of a map, for images binned by `binning`."""
         low, high = inverse_map.curve.colours.intensity_range()
         width = (high - low) / (BINS - 1)
         first = 1.0 - np.round((1.0 - low) / width) * width
@@ -83,12 +83,12 @@ class TabulatedInverseMap:
         )
 
     def resized(self, shape: tuple[int, int], binning: int) -> TabulatedInverseMap:
-        """The same tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
+        """Return the same tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
         across, down = _place_powers(shape, binning)
         return replace(self, across=across, down=down)
 
     def gradients(self, image: NormalizedImage) -> GradientField:
-        """Slope, validity and relative confidence of every pixel, as the map itself would give them."""
+        """Return the slope, validity and relative confidence of every pixel, as the map itself would give them."""
         p, q = (np.empty(image.shape, np.float32) for _ in range(2))
         outside = np.empty(image.shape, np.bool_)
         for first in range(0, len(p), BAND_ROWS):
@@ -106,7 +106,7 @@ class TabulatedInverseMap:
         return GradientField(p, q, valid, weight)
 
     def _bins(self, values: Float32Array) -> tuple[NDArray[np.intp], MaskArray]:
-        """Index into a table, and True in the outermost bins and beyond; arrays of shape (H, W)."""
+        """Return the index into a table, and True in the outermost bins and beyond; arrays of shape (H, W)."""
         number = np.zeros(values.shape[:2], np.int32)
         outside = np.zeros(values.shape[:2], np.bool_)
         last = np.float32(BINS - 1)
@@ -121,7 +121,7 @@ class TabulatedInverseMap:
         return number.astype(np.intp), outside
 
     def _sum(self, index: NDArray[np.intp], down: Float32Array) -> Float32Array:
-        """Both components of u side by side: float32 array of shape (H, 2 W); `down` of these rows."""
+        """Return both components of u side by side: float32 array of shape (H, 2 W); `down` of these rows."""
         total = np.zeros((index.shape[0], 2 * index.shape[1]), np.float32)
         pairs = np.empty(index.shape, np.float64)
         looked_up = pairs.view(np.float32)
@@ -136,7 +136,8 @@ class TabulatedInverseMap:
         return total
 
     def _trust(self, image: NormalizedImage, outside: MaskArray) -> tuple[MaskArray, Float32Array]:
-        """Validity and confidence; only the outermost bins and beyond can lie outside the calibrated colours."""
+        """Return the validity and confidence; only the outermost bins and beyond can lie outside the calibrated
+        colours."""
         valid = image.valid.copy()
         weight = np.where(image.clipped, np.float32(CLIPPED_CONFIDENCE), np.float32(1.0))
         if outside.any():
@@ -148,7 +149,7 @@ class TabulatedInverseMap:
 
 
 def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, centres: Float64Array) -> Float32Array:
-    """Coefficients of u in position at every bin: float32 array of shape (K, 2, BINS³)."""
+    """Return coefficients of u in position at every bin: float32 array of shape (K, 2, BINS³)."""
     logs = np.log(np.stack([low, high]) + DARK_OFFSET)
     nodes = np.linspace(logs[0], logs[1], NODES)
     asked = np.stack(np.meshgrid(*(np.exp(nodes) - DARK_OFFSET).T, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -161,7 +162,8 @@ def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, cent
 
 
 def spline_weights(at: Float64Array, nodes: int) -> Float64Array:
-    """Weight of each of `nodes` even nodes in the cubic spline through them: float64 array of shape (N, nodes).
+    """Return the weight of each of `nodes` even nodes in the cubic spline through them: float64 array of shape (N,
+    nodes).
 
     Its ends are "not-a-knot". scipy.interpolate gives the same, but takes a third of the start to import.
 
@@ -181,7 +183,8 @@ def spline_weights(at: Float64Array, nodes: int) -> Float64Array:
 
 
 def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> Float64Array:
-    """Least-squares coefficients of u over the field, float64 array of shape (N, K, 2), at N intensities (N, 3)."""
+    """Return the least-squares coefficients of u over the field, float64 array of shape (N, K, 2), at N intensities (N,
+    3)."""
     at = (np.arange(PLACES) + 0.5) * (2.0 / PLACES) - 1.0
     places = np.stack([axis.ravel() for axis in np.meshgrid(at, at)], axis=-1)
     u = np.stack([inverse_map.curve.at(intensity, np.tile(place, (len(intensity), 1))) for place in places])
@@ -190,7 +193,7 @@ def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> 
 
 
 def _place_powers(full: tuple[int, int], binning: int) -> tuple[Float32Array, Float32Array]:
-    """Powers of the positions of binned columns and rows of a field `full` (H, W), as a table keeps them."""
+    """Return powers of the positions of binned columns and rows of a field `full` (H, W), as a table keeps them."""
     shape = (full[0] // binning, full[1] // binning)
     column, row = (np.arange(size) * binning + 0.5 * (binning - 1) for size in shape[::-1])
     across = np.repeat(field_position(column, np.zeros_like(column), full)[:, 0], 2)

@@ -1,4 +1,4 @@
-"""Which colours the balls showed, and how far any other colour lies from them.
+"""Colours that the balls showed, and the distance of any other colour from them.
 
 Colours of a frame made with other lights, or turned, lie where those of the balls do not, channel by channel in range
 though they may be.
@@ -43,7 +43,7 @@ class TrainingDomain:
 
     @classmethod
     def observed(cls, intensity: Float32Array) -> TrainingDomain:
-        """The domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
+        """Return the domain of the observed intensities, array of shape (N, 3), and of untouched skin."""
         from scipy.ndimage import distance_transform_edt  # here, because only calibrating needs it
 
         logs = log_intensity(np.concatenate([intensity, np.ones((1, 3), np.float32)]))
@@ -59,7 +59,8 @@ class TrainingDomain:
         return cls(low.astype(np.float32), cell, spread, np.asarray(distance, np.float32))
 
     def excess(self, intensity: Float32Array) -> Float32Array:
-        """Distance of intensities of shape (..., 3) to what the balls showed, standard deviations, of shape (...)."""
+        """Return the distance of intensities of shape (..., 3) to what the balls showed, standard deviations, of shape
+        (...)."""
         at = (log_intensity(intensity) - self.low) / np.float32(self.cell)
         last = np.array(self.distance.shape, np.float32) - np.float32(1.0)
         inside = np.clip(at, np.float32(0.0), last)
@@ -68,12 +69,12 @@ class TrainingDomain:
         return np.asarray(self.distance[index[..., 0], index[..., 1], index[..., 2]] + beyond, np.float32)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything as arrays; `from_arrays` is its inverse."""
+        """Return everything as arrays; `from_arrays` is its inverse."""
         return {"low": self.low, "widths": np.array([self.cell, self.spread]), "distance": self.distance}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrainingDomain:
-        """The domain that `arrays` wrote; KeyError or ValueError when malformed."""
+        """Return the domain that `arrays` wrote; KeyError or ValueError when malformed."""
         cell, spread = (float(width) for width in arrays["widths"])
         distance = np.asarray(arrays["distance"], np.float32)
         if distance.ndim != 3:

@@ -80,7 +80,7 @@ def sync_descriptor(descriptor: int) -> None:
 
 
 def open_regular(path: Path, *, follow: bool = False) -> int:
-    """Descriptor of a regular file for reading. `follow`: the last name may be a link, as the user named it.
+    """Return the descriptor of a regular file for reading. `follow`: the last name may be a link, as the user named it.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def open_regular(path: Path, *, follow: bool = False) -> int:
 
 
 def open_appending(path: Path) -> int:
-    """Descriptor of a file for reading and writing, made when absent; the last name may not be a link."""
+    """Return the descriptor of a file for reading and writing, made when absent; the last name may not be a link."""
     return os.open(path, os.O_RDWR | os.O_CREAT | (_READ & ~os.O_RDONLY), 0o666)
 
 
@@ -140,7 +140,7 @@ class Folder:
             yield stream
 
     def read(self, place: str, max_bytes: int) -> bytes:
-        """A regular file's bytes; a larger one is refused (`FileTooLarge`)."""
+        """Return a regular file's bytes; a larger one is refused (`FileTooLarge`)."""
         with self.opened(place) as stream:
             data = stream.read(max_bytes + 1)
         if len(data) > max_bytes:
@@ -222,7 +222,7 @@ class _Parent:
     descriptor: int | None
 
     def at(self, name: str) -> str:
-        """The name as a function that is given the descriptor takes it."""
+        """Return the name as a function that is given the descriptor takes it."""
         return name if self.descriptor is not None else str(self.path / name)
 
     def scan(self) -> ScandirIterator[str]:

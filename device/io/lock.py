@@ -76,7 +76,7 @@ def locked_directory(
 
 
 def _companion(directory: Path, suffix: str) -> Path:
-    """A file inside a folder that stays; beside a temporary one, whose content is published."""
+    """Return a file inside a folder that stays; beside a temporary one, whose content is published."""
     hidden = directory.name.startswith(".")
     return directory.with_name(directory.name + suffix) if hidden else directory / f".retrograph{suffix}"
 

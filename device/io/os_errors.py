@@ -26,5 +26,5 @@ _ADVICE: Final = {
 
 
 def explain_os_error(error: OSError) -> str:
-    """The reason and what to do, such as "(No space left on device): free space on it"."""
+    """Return the reason and what to do, such as "(No space left on device): free space on it"."""
     return f"({error.strerror or error}): {_ADVICE.get(error.errno or 0, 'choose another folder')}"

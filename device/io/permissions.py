@@ -56,7 +56,7 @@ def require_writable(folder: Path, statvfs: StatVfs) -> None:
 
 
 def free_bytes(folder: Path, statvfs: StatVfs) -> int:
-    """Space for this user on a file system, bytes."""
+    """Return the space for this user on a file system, bytes."""
     facts = statvfs(folder)
     return facts.f_bavail * facts.f_frsize
 

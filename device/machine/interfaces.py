@@ -23,7 +23,7 @@ class SystemClockSetting(Protocol):
     """The system's clock and time zone."""
 
     def status(self) -> ClockStatus:
-        """Zone and state of the clock.
+        """Return the zone and state of the clock.
 
         Raises
         ------
@@ -33,7 +33,7 @@ class SystemClockSetting(Protocol):
         ...
 
     def zones(self) -> tuple[str, ...]:
-        """Names of all time zones. Errors as for `status`."""
+        """Return names of all time zones. Errors as for `status`."""
         ...
 
     def set_time(self, local: datetime) -> None:
@@ -101,7 +101,7 @@ class Wifi(Protocol):
         ...
 
     def networks(self) -> tuple[WifiNetwork, ...]:
-        """The networks in range, strongest first; takes some seconds. Errors as for `active`."""
+        """Return the networks in range, strongest first; takes some seconds. Errors as for `active`."""
         ...
 
     def join(self, network: WifiNetwork, password: str) -> None:

@@ -26,12 +26,12 @@ class TimedateClock:
         self._program = program
 
     def status(self) -> ClockStatus:
-        """Zone and state; errors as for `SystemClockSetting.status`."""
+        """Return the zone and state; errors as for `SystemClockSetting.status`."""
         facts = dict(line.partition("=")[::2] for line in self._run("show").splitlines())
         return ClockStatus(facts.get("Timezone") or "unknown", facts.get("NTPSynchronized") == "yes")
 
     def zones(self) -> tuple[str, ...]:
-        """Names of all time zones."""
+        """Return names of all time zones."""
         return tuple(self._run("list-timezones").split())
 
     def set_time(self, local: datetime) -> None:

@@ -18,11 +18,11 @@ class TwinClock:
         self._status = ClockStatus("UTC", is_synchronized=False)
 
     def status(self) -> ClockStatus:
-        """The zone that was set last."""
+        """Return the zone that was set last."""
         return self._status
 
     def zones(self) -> tuple[str, ...]:
-        """A few zones."""
+        """Return a few zones."""
         return ("America/New_York", "Asia/Tokyo", "Europe/Berlin", "Europe/London", "UTC")
 
     def set_time(self, local: datetime) -> None:
@@ -41,7 +41,7 @@ class TwinBacklight:
         self._level = 1.0
 
     def level(self) -> float | None:
-        """The level that was set last."""
+        """Return the level that was set last."""
         return self._level
 
     def set_level(self, level: float) -> None:
@@ -63,11 +63,11 @@ class TwinWifi:
         )
 
     def active(self) -> str | None:
-        """The network that was joined last."""
+        """Return the network that was joined last."""
         return next((network.name for network in self._networks if network.is_active), None)
 
     def networks(self) -> tuple[WifiNetwork, ...]:
-        """The three networks."""
+        """Return the three networks."""
         return self._networks
 
     def join(self, network: WifiNetwork, password: str) -> None:
@@ -80,5 +80,5 @@ class TwinWifi:
 
 
 def twin_machine() -> Machine:
-    """The machine of a simulated handheld."""
+    """Return the machine of a simulated handheld."""
     return Machine(TwinClock(), TwinBacklight(), TwinWifi())

@@ -53,13 +53,13 @@ class NetworkManagerWifi:
         self._program = program
 
     def active(self) -> str | None:
-        """The present network; errors as for `Wifi.active`."""
+        """Return the present network; errors as for `Wifi.active`."""
         self._check_adapter()
         rows = self._rows("ACTIVE,SSID", "device", "wifi", "list", "--rescan", "no")
         return next((name for is_active, name in rows if is_active == "yes"), None)
 
     def networks(self) -> tuple[WifiNetwork, ...]:
-        """Networks in range, each once with its strongest access point."""
+        """Return networks in range, each once with its strongest access point."""
         self._check_adapter()
         found: dict[str, WifiNetwork] = {}
         fields = "ACTIVE,SIGNAL,SECURITY,SSID"
@@ -91,7 +91,7 @@ class NetworkManagerWifi:
                 self._run("connection", "delete", "uuid", older)
 
     def _add_profile(self, network: WifiNetwork, password: str) -> str:
-        """The id of a new profile of a network, without its password."""
+        """Return the id of a new profile of a network, without its password."""
         known = {uuid for uuid, _, _ in self._profiles()}
         kind = ("connection", "add", "type", "wifi", "ifname", "*", "con-name", f"{TRIED}{network.name}")
         secured = ("wifi-sec.key-mgmt", "wpa-psk") if password else ()
@@ -102,7 +102,7 @@ class NetworkManagerWifi:
         return added[0]
 
     def _profiles_of(self, name: str) -> list[str]:
-        """Ids of the known profiles of a network."""
+        """Return ids of the known profiles of a network."""
         wireless = [uuid for uuid, _, kind in self._profiles() if kind == "802-11-wireless"]
         return [uuid for uuid in wireless if self._ssid(uuid) == name]
 
@@ -128,7 +128,7 @@ class NetworkManagerWifi:
         return [state for kind, state in self._rows("TYPE,STATE", "device") if kind == "wifi"]
 
     def _rows(self, fields: str, *arguments: str) -> list[list[str]]:
-        """The fields of each line of a terse answer."""
+        """Return the fields of each line of a terse answer."""
         lines = self._run("-t", "-f", fields, *arguments).splitlines()
         rows = [_split(line) for line in lines]
         return [row for row in rows if len(row) == fields.count(",") + 1]
@@ -162,7 +162,7 @@ def _security_of(words: str) -> Security:
 
 
 def _split(line: str) -> list[str]:
-    """The fields of a terse line, in which a backslash protects colons and itself."""
+    """Return the fields of a terse line, in which a backslash protects colons and itself."""
     fields, is_escaped = [""], False
     for letter in line:
         if is_escaped or letter not in "\\:":
@@ -176,7 +176,7 @@ def _split(line: str) -> list[str]:
 
 
 def _escaped(password: str) -> str:
-    """The password for a `passwd-file`, which trims blanks and reads backslashes: most bytes in octal."""
+    """Return the password for a `passwd-file`, which trims blanks and reads backslashes: most bytes in octal."""
     return "".join(chr(byte) if chr(byte).isalnum() and byte < 128 else f"\\{byte:03o}" for byte in password.encode())
 
 

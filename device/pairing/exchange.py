@@ -133,7 +133,7 @@ class PairingChannel:
             raise RecordError(f"pairing: the other side is gone ({error}): start again") from error
 
     def receive(self, kind: type[RecordT]) -> RecordT:
-        """The next record, which must be of that kind."""
+        """Return the next record, which must be of that kind."""
         while b"\n" not in self._unread:
             try:
                 self._connection.settimeout(self._left_s())
@@ -179,7 +179,7 @@ def leave_host_card(memory_card: Path, host: HostCard) -> Path:
 
 
 def take_host_cards(memory_card: Path) -> list[HostCard]:
-    """The workstations whose cards are on the memory card.
+    """Return the workstations whose cards are on the memory card.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def leave_device_card(memory_card: Path, device: DeviceCard) -> Path:
 
 
 def read_device_card(memory_card: Path) -> DeviceCard | None:
-    """The device's card, None when it has left none yet. Errors as for `take_host_cards`."""
+    """Return the device's card, None when it has left none yet. Errors as for `take_host_cards`."""
     return _read(memory_card, _DEVICE, DeviceCard)
 
 

@@ -96,7 +96,7 @@ class PairingSetup:
     keys: Path | None = None
 
     def authorized_keys(self, store: BundleStore) -> Path:
-        """File of the keys that sshd accepts."""
+        """Return the file of the keys that sshd accepts."""
         return (self.keys or store.root.with_name(f"{store.root.name}-pairing")) / "authorized_keys"
 
     def card(self, store: BundleStore) -> DeviceCard:
@@ -138,13 +138,13 @@ def open_pairing_window(
 
 
 def fingerprint_of(public_key: str) -> str:
-    """A key's fingerprint as OpenSSH shows it, such as "SHA256:mVPwvezndPv/ARoIadVY98vAC0g"."""
+    """Return a key's fingerprint as OpenSSH shows it, such as "SHA256:mVPwvezndPv/ARoIadVY98vAC0g"."""
     digest = hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
     return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
 
 
 def how_to_call(window: PairingWindow, setup: PairingSetup, store: BundleStore) -> str:
-    """Lines for a screen: the command for the workstation, and the device's id and key."""
+    """Return lines for a screen: the command for the workstation, and the device's id and key."""
     port = "" if setup.port == PAIRING_PORT else f" --port {setup.port}"
     return (
         f"Pairing is open for {window.seconds_left:.0f} s.\n"

@@ -49,7 +49,7 @@ class LightShares:
 
     @classmethod
     def measure(cls, alone: Sequence[Float32Array], dark: Float32Array) -> LightShares | None:
-        """The shares from frames of untouched skin under each light alone, in R, G, B order, and under none.
+        """Return the shares from frames of untouched skin under each light alone, in R, G, B order, and under none.
 
         alone, dark : the blocks' light relative to the reference, float32 arrays of shape (rows, columns, 3). None if
             no levels of the lights explain the reference, because something touches the skin or a light is out.
@@ -73,11 +73,11 @@ class LightShares:
 
     @classmethod
     def by_channel(cls) -> LightShares:
-        """The shares when each channel shows its own light alone, everywhere."""
+        """Return the shares when each channel shows its own light alone, everywhere."""
         return cls(np.eye(3, dtype=np.float32)[None, None])
 
     def levels(self, ratio: Float32Array) -> Float32Array:
-        """Level of each light in each block, float32 array of shape (rows, columns, 3), 1 as calibrated.
+        """Return the level of each light in each block, float32 array of shape (rows, columns, 3), 1 as calibrated.
 
         ratio : the blocks' intensity relative to the reference, of that shape; on untouched skin every block then shows
             the same levels
@@ -85,13 +85,13 @@ class LightShares:
         return np.asarray(np.linalg.solve(self.shares, ratio[..., None])[..., 0], np.float32)
 
     def channels(self, levels: Sequence[float]) -> tuple[float, float, float]:
-        """Mean intensity of untouched skin in R, G and B under these levels of the lights."""
+        """Return the mean intensity of untouched skin in R, G and B under these levels of the lights."""
         red, green, blue = (float(value) for value in self.shares.mean(axis=(0, 1)) @ np.asarray(levels))
         return red, green, blue
 
 
 def _without_dust(excess: Float64Array) -> tuple[MaskArray, bool]:
-    """Blocks without dust, bool array of shape (rows, columns), and whether none of them contradicts.
+    """Return blocks without dust, bool array of shape (rows, columns), and whether none of them contradicts.
 
     excess : the blocks' light over what the levels explain, relative, float64 array of shape (rows, columns, 3)
     """

@@ -58,7 +58,7 @@ class PressFigures:
 
 
 def press_faults(figures: PressFigures) -> Iterator[PressFault]:
-    """Every fault of a press, most urgent first. Wrong light makes contact, depth and tilt meaningless."""
+    """Yield every fault of a press, most urgent first. Wrong light makes contact, depth and tilt meaningless."""
     if figures.exposure < UNDEREXPOSED:
         yield PressFault("too dark", "doubtful", "too dark: check the lights and the lens")
         return

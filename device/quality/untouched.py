@@ -112,15 +112,16 @@ class ReferenceModel:
 
     @classmethod
     def of(cls, reference: NormalizedImage) -> ReferenceModel:
-        """Statistics of the reference's intensity image: the frame divided by its own flat field."""
+        """Return statistics of the reference's intensity image: the frame divided by its own flat field."""
         return cls(*_blocks(reference.values))
 
     def ratio(self, intensity: NormalizedImage) -> Float32Array:
-        """Intensity of each block relative to the reference: float32 array of shape (rows, columns of blocks, 3)."""
+        """Return the intensity of each block relative to the reference: float32 array of shape (rows, columns of
+        blocks, 3)."""
         return _blocks(intensity.values)[0] / self.mean
 
     def detect(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion | None:
-        """Untouched skin in an intensity image of the reference's size; None if too few blocks agree."""
+        """Return untouched skin in an intensity image of the reference's size; None if too few blocks agree."""
         mean, spread = _blocks(intensity.values)
         ratio, window = mean / self.mean, self._window(intensity)
         per_change = AGREEING_PER_CHANGE
@@ -132,7 +133,8 @@ class ReferenceModel:
         return _region(ratio, agreeing)
 
     def lights_beside_press(self, intensity: NormalizedImage, shares: LightShares) -> Levels | None:
-        """Levels of the lights on the untouched skin beside an object, if they are as calibrated; None if unknown."""
+        """Return levels of the lights on the untouched skin beside an object, if they are as calibrated; None if
+        unknown."""
         mean, spread = _blocks(intensity.values)
         levels = shares.levels(mean / self.mean)
         if (np.abs(levels - 1.0).max(axis=-1) > STEEP_CHANGE).mean() < STEEP_FRACTION:
@@ -187,7 +189,7 @@ class LightDriftMonitor:
         return self._unseen_scans
 
     def changes_since(self, at_ns: int) -> Levels | None:
-        """The changes measured in a fully untouched frame after that time (ns); None without one."""
+        """Return the changes measured in a fully untouched frame after that time (ns); None without one."""
         return self.changes if self._measured_ns is not None and self._measured_ns > at_ns else None
 
     def update(self, region: UntouchedRegion | None, at_ns: int) -> bool:
@@ -221,12 +223,13 @@ def dark_spots(intensity: NormalizedImage) -> MaskArray:
 
 
 def block_means(values: Float32Array) -> Float32Array:
-    """Mean of each block of an image (H, W, 3): float32 array of shape (rows, columns of blocks, 3)."""
+    """Return the mean of each block of an image (H, W, 3): float32 array of shape (rows, columns of blocks, 3)."""
     return _blocks(values)[0]
 
 
 def _contrast(values: Float32Array) -> Float32Array:
-    """Contrast of each spot to its surroundings by channel: float32 array of shape (H, W, 3), 0 where there is none."""
+    """Return the contrast of each spot to its surroundings by channel: float32 array of shape (H, W, 3), 0 where there
+    is none."""
     margin = round(3.0 * SURROUNDINGS_PX)
     # Odd reflection continues a gradient of the light beyond the border, where plain reflection would bend it.
     padded = np.pad(values, ((margin, margin), (margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
@@ -237,12 +240,12 @@ def _contrast(values: Float32Array) -> Float32Array:
 
 
 def _side(values: Float32Array) -> int:
-    """Side of a block, px."""
+    """Return the side of a block, px."""
     return max(int(values.shape[1]) // BLOCKS_ACROSS, 2)
 
 
 def _blocks(values: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Mean and standard deviation of each block: float32 arrays of shape (rows, columns of blocks, 3)."""
+    """Return the mean and standard deviation of each block: float32 arrays of shape (rows, columns of blocks, 3)."""
     side = _side(values)
     rows, columns = values.shape[0] // side, values.shape[1] // side
     cut = np.ascontiguousarray(values[: rows * side, : columns * side]) - np.float32(1.0)
@@ -264,7 +267,8 @@ def _agreeing(ratio: Float32Array, quiet: MaskArray, window: Float32Array, per_c
 
 
 def _unevenness(levels: Float32Array) -> Float32Array:
-    """Standard deviation over 3x3 blocks, the largest of the three lights: float32 array of shape (rows, columns)."""
+    """Return the standard deviation over 3x3 blocks, the largest of the three lights: float32 array of shape (rows,
+    columns)."""
     mean, square = (
         cv2.blur(part, (3, 3), borderType=cv2.BORDER_REPLICATE) for part in (levels - 1.0, (levels - 1.0) ** 2)
     )
@@ -279,7 +283,7 @@ def _at_border(shape: tuple[int, ...]) -> MaskArray:
 
 
 def _largest_group(levels: Float32Array) -> MaskArray:
-    """The largest group of levels (N, 3) within `BESIDE_WINDOW` of one of them: bool array of shape (N,)."""
+    """Return the largest group of levels (N, 3) within `BESIDE_WINDOW` of one of them: bool array of shape (N,)."""
     if not len(levels):
         return np.zeros(0, np.bool_)
     near = np.abs(levels[:, None] - levels[None]).max(axis=-1) < BESIDE_WINDOW
@@ -312,7 +316,8 @@ _DARK: Final = 1e-3
 
 
 def reference_fault(reference: LinearFrame) -> str:
-    """Why a frame cannot be of clean, untouched skin; empty if it can. A smooth object over the whole field can."""
+    """Return why a frame cannot be of clean, untouched skin; empty if it can. A smooth object over the whole field
+    can."""
     defects = float(gel_defects(reference).mean())
     uneven = _deviation_from_smooth(block_means(reference.rgb))
     if uneven > MAX_UNEVEN:
@@ -332,7 +337,7 @@ def changed_shape(reference: LinearFrame, last: LinearFrame) -> float:
 
 
 def _deviation_from_smooth(light: Float32Array) -> float:
-    """Largest deviation of the logarithm of blocks' light, (rows, columns, 3), from a smooth polynomial."""
+    """Return the largest deviation of the logarithm of blocks' light, (rows, columns, 3), from a smooth polynomial."""
     rows, columns, _ = light.shape
     across, down = np.meshgrid(np.linspace(-1.0, 1.0, columns), np.linspace(-1.0, 1.0, rows))
     design = monomials(np.stack([across.ravel(), down.ravel()], axis=-1), SMOOTH_DEGREE)

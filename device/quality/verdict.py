@@ -88,7 +88,7 @@ class FrameMetrics:
 
     @classmethod
     def of(cls, frame: LinearFrame, intensity: NormalizedImage | None) -> FrameMetrics:
-        """The metrics of a frame."""
+        """Return the metrics of a frame."""
         return cls(
             exposure=float(np.percentile(frame.rgb[::2, ::2], 99)),
             clipped=float(frame.clipped.mean()),
@@ -135,7 +135,7 @@ class Evidence:
         flags: Mapping[str, str],
         known: InstrumentContext,
     ) -> Evidence:
-        """The evidence in a frame; `intensity` is None if it could not be flat-field-corrected."""
+        """Return the evidence in a frame; `intensity` is None if it could not be flat-field-corrected."""
         border = None if intensity is None else border_levels(intensity)
         return cls(FrameMetrics.of(frame, intensity), border, tuple(lights), flags, known)
 
@@ -164,7 +164,7 @@ class Evidence:
         return replace(self, known=replace(self.known, failed_check=sentence))
 
     def verdict(self) -> VerdictRecord:
-        """The verdict's level, reason and figures."""
+        """Return the verdict's level, reason and figures."""
         metrics, known = self.metrics, self.known
         figures = metrics.figures | border_figures(self.border) | known.figures
         figures["contact_share"] = self._press.contact_fraction
@@ -207,7 +207,7 @@ class Evidence:
 
 
 def border_figures(levels: Levels | None) -> dict[str, float | None]:
-    """Median intensity along the border by channel, 1 as calibrated."""
+    """Return the median intensity along the border by channel, 1 as calibrated."""
     return {
         f"border_level_{colour}": None if levels is None else level
         for colour, level in zip(("red", "green", "blue"), levels or (None,) * 3, strict=True)
@@ -244,7 +244,7 @@ def dirt_sentence(fraction: float) -> str:
 
 
 def _unknown_lights(known: InstrumentContext, lights: Sequence[str]) -> Iterator[tuple[VerdictLevel, str]]:
-    """Lights whose level at this press is not known may be wrong: unknown is never taken as unchanged."""
+    """Yield lights whose level at this press is not known may be wrong: unknown is never taken as unchanged."""
     if any(known.light_change.get(name) is None for name in lights):
         yield "doubtful", LIGHTS_UNKNOWN
 
@@ -280,7 +280,7 @@ WEAK_LEVEL: Final = 0.9
 
 
 def border_levels(intensity: NormalizedImage) -> Levels | None:
-    """Median intensity of R, G and B along the border, 1 as calibrated; None if no border pixel is valid."""
+    """Return the median intensity of R, G and B along the border, 1 as calibrated; None if no border pixel is valid."""
     border = _border(intensity.shape) & intensity.valid
     if not border.any():
         return None

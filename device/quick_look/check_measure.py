@@ -61,7 +61,7 @@ class CheckNotMeasured(DeviceError):
 
 
 def measure_standard(standard: CheckStandard, look: QuickLook, bias: BallBias | None = None) -> float:
-    """Value of a check standard, µm.
+    """Return the value of a check standard, µm.
 
     bias : of balls in this calibration's quick looks; None: not known
 
@@ -94,7 +94,8 @@ def _measured(kind: StandardKind, look: QuickLook, bias: BallBias | None) -> flo
 
 
 def read_ball(slopes: GradientField, height: HeightMap) -> BallReading:
-    """The pressed ball as the quick look shows it: sine of slope grows with the distance from its top as 1 / R."""
+    """Return the pressed ball as the quick look shows it: sine of slope grows with the distance from its top as 1 /
+    R."""
     steep = 1.0 / np.sqrt(1.0 + slopes.p.astype(np.float64) ** 2 + slopes.q.astype(np.float64) ** 2)
     across, down = slopes.p * steep, slopes.q * steep
     row, column = np.unravel_index(int(np.argmax(_smooth(height.z_um))), height.z_um.shape)
@@ -127,7 +128,7 @@ def read_ball(slopes: GradientField, height: HeightMap) -> BallReading:
 
 
 def step_um(height: HeightMap) -> float:
-    """Height of the step whose edge crosses the middle of the field: two parallel lines beside the edge."""
+    """Return the height of the step whose edge crosses the middle of the field: two parallel lines beside the edge."""
     part = _middle(height.z_um, STEP_MIDDLE)
     down, across = np.gradient(_smooth(part))
     weight = np.hypot(down, across) ** EDGE_WEIGHT
@@ -181,7 +182,7 @@ def _mean(part: Float64Array) -> float:
 
 
 def _smooth(z_um: Float32Array) -> Float64Array:
-    """Box mean over `SMOOTH_PX` pixels."""
+    """Return the box mean over `SMOOTH_PX` pixels."""
     side = np.ones(SMOOTH_PX) / SMOOTH_PX
     padded = np.pad(np.nan_to_num(z_um).astype(np.float64), SMOOTH_PX // 2, mode="edge")
     down = np.apply_along_axis(np.convolve, 0, padded, side, "valid")
@@ -227,13 +228,13 @@ class BallBias:
     def of(
         cls, readings: Sequence[BallReading], stated_um: Sequence[float], lights_mm: Sequence[PositionMm]
     ) -> BallBias:
-        """The bias of at least one reading, beside the radii that the calibration states."""
+        """Return the bias of at least one reading, beside the radii that the calibration states."""
         fractions = [reading.radius_um / radius for reading, radius in zip(readings, stated_um, strict=True)]
         tops = [reading.top_um for reading in readings]
         return cls(float(np.median(fractions)), float(np.median(tops)), tuple(lights_mm))
 
     def corrected_um(self, reading: BallReading) -> float:
-        """The radius without the bias, µm."""
+        """Return the radius without the bias, µm."""
         lower = shading(self.lights_mm, self.top_um) / shading(self.lights_mm, reading.top_um)
         return reading.radius_um / (self.fraction * lower)
 

@@ -73,7 +73,7 @@ class Difference:
 
 
 def levelled(z_um: Float32Array) -> Float32Array:
-    """Heights above their least-squares plane: float32 array of shape (H, W), NaN where invalid."""
+    """Return heights above their least-squares plane: float32 array of shape (H, W), NaN where invalid."""
     row, column = np.nonzero(np.isfinite(z_um))
     if row.size < 3:
         return z_um
@@ -97,7 +97,8 @@ def areal_roughness(z_um: Float32Array, flatness_um: float | None = None) -> Rou
 
 
 def line_between(height: HeightMap, start: Point, end: Point) -> Float64Array:
-    """Heights (µm) along the line between two points, interpolated, a pixel apart: float64 array of shape (N,)."""
+    """Return heights (µm) along the line between two points, interpolated, a pixel apart: float64 array of shape
+    (N,)."""
     rows, columns = height.z_um.shape
     count = max(round(float(np.hypot(end[0] - start[0], end[1] - start[1]))) + 1, 2)
     row = np.clip(np.linspace(start[0], end[0], count), 0.0, rows - 1.0)
@@ -139,7 +140,7 @@ def _fits(cutoff_um: float, samples: int, step_um: float) -> bool:
 
 
 def mean_line(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
-    """Gaussian mean line (ISO 16610-21), of first order at ends and holes (-31): float64 array of shape (N,)."""
+    """Return gaussian mean line (ISO 16610-21), of first order at ends and holes (-31): float64 array of shape (N,)."""
     sigma = _ALPHA * cutoff_samples / np.sqrt(2.0 * np.pi)
     reach = max(int(np.ceil(_REACH * sigma)), 1)
     x = np.arange(-reach, reach + 1) / sigma
@@ -163,7 +164,7 @@ def mean_line(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
 
 
 def difference(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> Difference:
-    """The second point against the first.
+    """Return the second point against the first.
 
     flatness_um : rms of untouched skin's heights, as the zero check measures it; None if not measured
     """
@@ -211,7 +212,8 @@ def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -
 
 
 def _at(height: HeightMap, point: Point) -> tuple[float, float]:
-    """Height of the pixel at a point, and its noise: standard deviation of the pixels around it about their plane, µm.
+    """Return the height of the pixel at a point, and its noise: standard deviation of the pixels around it about their
+    plane, µm.
 
     NaN where the pixel is not valid.
     """

@@ -41,7 +41,7 @@ class QuickLookModel:
 
     @classmethod
     def prepare(cls, reference: RawFrame, inverse_map: InverseMap, pitch_um: float) -> QuickLookModel:
-        """The model of a calibration's reference frame and inverse map."""
+        """Return the model of a calibration's reference frame and inverse map."""
         binning = quick_look_binning(reference.shape)
         flat_field = make_flat_field(bin_bayer(reference, binning))
         # Three planes, as a binned frame is: arithmetic between like layouts is several times as fast.
@@ -59,7 +59,7 @@ class QuickLook:
 
 
 def quick_look_binning(shape: tuple[int, int]) -> int:
-    """Smallest even binning that brings a frame of `shape` (H, W) to at most `WIDEST_PX` columns."""
+    """Return the smallest even binning that brings a frame of `shape` (H, W) to at most `WIDEST_PX` columns."""
     binning = 2
     while shape[1] // binning > WIDEST_PX:
         binning += 2
@@ -67,7 +67,7 @@ def quick_look_binning(shape: tuple[int, int]) -> int:
 
 
 def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
-    """The quick look of a frame that was binned by `model.binning`.
+    """Return the quick look of a frame that was binned by `model.binning`.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def write_quick_look(directory: Path, height: HeightMap) -> None:
 
 
 def shaded_picture(height: HeightMap) -> np.ndarray:
-    """Diffuse shading from the upper left: uint8 array of shape (H, W)."""
+    """Return diffuse shading from the upper left: uint8 array of shape (H, W)."""
     p, q = surface_slopes(height)
     cosine = (-p * _LIGHT[0] - q * _LIGHT[1] + _LIGHT[2]) / np.sqrt(1.0 + p * p + q * q)
     return np.asarray(np.clip(255.0 * (0.15 + 0.85 * cosine), 0.0, 255.0), np.uint8)

@@ -26,7 +26,7 @@ class ActiveCalibration(Record, frozen=True, tag_field="schema", tag=ACTIVE_SCHE
 
 
 def read_active(root: Path) -> CalibrationBundle:
-    """The active calibration of a store.
+    """Return the active calibration of a store.
 
     Raises
     ------

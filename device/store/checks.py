@@ -39,7 +39,7 @@ class CheckMeasure:
     own_share: float | None = None
 
     def share_of(self, kind: StandardKind) -> float:
-        """Relative error of the reading itself."""
+        """Return relative error of the reading itself."""
         return OWN_SHARE[kind] if self.own_share is None else self.own_share
 
     def question(self, standard: CheckStandard) -> str:
@@ -57,7 +57,7 @@ class CheckMeasure:
 
 
 def read_standard(root: Path) -> CheckStandard | None:
-    """The check standard; None when none was entered or its file is damaged."""
+    """Return the check standard; None when none was entered or its file is damaged."""
     return STANDARD.read_sound(root)
 
 
@@ -73,7 +73,7 @@ def write_standard(root: Path, standard: CheckStandard) -> None:
 
 
 def read_checks(root: Path) -> tuple[CheckRecord, ...]:
-    """Every check, oldest first; damaged ones are left out."""
+    """Return every check, oldest first; damaged ones are left out."""
     return tuple(sorted(CHECKS.all_sound(root), key=lambda check: check.counter))
 
 
@@ -90,7 +90,7 @@ def judged_check(
     checked: datetime,
     measured: CheckMeasure,
 ) -> CheckRecord:
-    """The result of a check, compared with the certificate and the first passed check with this calibration."""
+    """Return the result of a check, compared with the certificate and the first passed check with this calibration."""
     first = next(
         (
             check

@@ -38,11 +38,11 @@ class RecordFile(Generic[Kept]):
     remedy: str
 
     def path(self, root: Path, name: str = "") -> Path:
-        """Path of the file, there or not."""
+        """Return the path of the file, there or not."""
         return root / self.place.format(name)
 
     def read(self, root: Path, name: str = "") -> Kept | None:
-        """The record; None when there is none.
+        """Return the record; None when there is none.
 
         Raises
         ------
@@ -52,14 +52,14 @@ class RecordFile(Generic[Kept]):
         return self._decoded(path) if (path := self.path(root, name)).exists() else None
 
     def read_sound(self, root: Path, name: str = "") -> Kept | None:
-        """The record; None when there is none or its file is damaged."""
+        """Return the record; None when there is none or its file is damaged."""
         try:
             return self.read(root, name)
         except RecordError:
             return None
 
     def all_sound(self, root: Path) -> list[Kept]:
-        """The records of all names, by name; damaged ones are left out."""
+        """Return the records of all names, by name; damaged ones are left out."""
         pattern = self.path(root, "*")
         names = sorted(path.stem for path in pattern.parent.glob(pattern.name))
         return [record for name in names if (record := self.read_sound(root, name)) is not None]
@@ -155,12 +155,12 @@ BALANCE: Final = RecordFile(BalanceRecord, "exposure-balance.json", "remove it, 
 
 
 def read_settings(root: Path) -> Settings:
-    """The settings; the usual ones when there are none or their file is damaged."""
+    """Return the settings; the usual ones when there are none or their file is damaged."""
     return SETTINGS.read_sound(root) or Settings()
 
 
 def read_sticky(root: Path) -> Annotations:
-    """The annotations of the next scans; empty when there are none or their file is damaged."""
+    """Return the annotations of the next scans; empty when there are none or their file is damaged."""
     return (STICKY.read_sound(root) or StickyAnnotations()).annotations
 
 
@@ -170,7 +170,7 @@ def write_sticky(root: Path, annotations: Annotations) -> None:
 
 
 def read_presets(root: Path) -> tuple[Annotations, ...]:
-    """The presets, newest first; none when there are none or their file is damaged."""
+    """Return the presets, newest first; none when there are none or their file is damaged."""
     return (PRESETS.read_sound(root) or Presets()).items
 
 
@@ -219,7 +219,7 @@ MOUNTED: Final = RecordFile(MountedGel, "mounted-gel.json", _REMEDY)
 
 
 def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
-    """The mounted gel: the one that was named last, else the board's own.
+    """Return the mounted gel: the one that was named last, else the board's own.
 
     Raises
     ------
@@ -232,12 +232,12 @@ def mounted_gel(root: Path, usual: GelConfig) -> GelRecord:
 
 
 def known_gel(root: Path, gel_id: str) -> GelRecord | None:
-    """The record of a gel, None when it was never mounted. Errors as for `mounted_gel`."""
+    """Return the record of a gel, None when it was never mounted. Errors as for `mounted_gel`."""
     return GELS.read(root, gel_id)
 
 
 def known_gels(root: Path) -> tuple[GelRecord, ...]:
-    """Every gel that was mounted here, by name; damaged files are left out."""
+    """Return every gel that was mounted here, by name; damaged files are left out."""
     return tuple(GELS.all_sound(root))
 
 
@@ -254,7 +254,7 @@ def mount_gel(root: Path, gel: GelRecord) -> None:
 
 
 def count_gel_press(root: Path, usual: GelConfig) -> GelRecord:
-    """The mounted gel after one more press, stored. Errors as for `mounted_gel` and `mount_gel`."""
+    """Return the mounted gel after one more press, stored. Errors as for `mounted_gel` and `mount_gel`."""
     gel = mounted_gel(root, usual)
     pressed = msgspec.structs.replace(gel, presses=gel.presses + 1)
     GELS.write(root, pressed, gel.gel_id)
@@ -262,7 +262,7 @@ def count_gel_press(root: Path, usual: GelConfig) -> GelRecord:
 
 
 def make_gel(gel_id: str, slab_thickness_mm: float) -> GelRecord:
-    """A gel of that name and thickness.
+    """Return a gel of that name and thickness.
 
     Raises
     ------

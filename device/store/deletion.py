@@ -47,7 +47,7 @@ def restore_scan(root: Path, scan_id: str) -> None:
 
 
 def deleted_folders(root: Path) -> list[Path]:
-    """Folders of the deleted scans, the oldest press first; before them what a power cut left of one."""
+    """Return folders of the deleted scans, the oldest press first; before them what a power cut left of one."""
     try:
         return sorted((root / DELETED).iterdir(), key=lambda folder: (_press(folder.name), folder.name))
     except OSError:
@@ -55,7 +55,7 @@ def deleted_folders(root: Path) -> list[Path]:
 
 
 def _press(name: str) -> int:
-    """The counter in a scan's id; below every counter for another name."""
+    """Return the counter in a scan's id; below every counter for another name."""
     counter = name.rpartition("-")[2]
     return int(counter) if is_bundle_id(name) and counter.isdecimal() else -1
 
@@ -108,7 +108,7 @@ def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None
 
 
 def acknowledged_scans(root: Path) -> list[ScanBundle]:
-    """Scans of a store that may be removed, the oldest press first."""
+    """Return scans of a store that may be removed, the oldest press first."""
     scans = sorted(list_bundles(root, "scans", read_scan).bundles, key=lambda scan: scan.record.identity.counter)
     return [scan for scan in scans if _is_receipted(root, scan)]
 
@@ -116,7 +116,7 @@ def acknowledged_scans(root: Path) -> list[ScanBundle]:
 def evict_acknowledged(
     root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
 ) -> list[str]:
-    """Ids of the scans that were removed, one by one, until there is `enough` room or no more may be removed.
+    """Return ids of the scans that were removed, one by one, until there is `enough` room or no more may be removed.
 
     remove : removes the folder of a scan that no longer counts
 

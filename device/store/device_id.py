@@ -27,12 +27,12 @@ class DeviceState(Record, frozen=True, tag_field="schema", tag=DEVICE_SCHEMA):
 
 
 def new_device() -> DeviceState:
-    """A device with a new random id and no scans."""
+    """Return a device with a new random id and no scans."""
     return DeviceState(device_id=f"rg{secrets.token_hex(4)}", counter=0)
 
 
 def read_device(root: Path) -> DeviceState | None:
-    """The device that a store belongs to, None before the first start.
+    """Return the device that a store belongs to, None before the first start.
 
     Raises
     ------
@@ -62,13 +62,13 @@ def start_device(root: Path) -> None:
 
 
 def count_scan(root: Path, state: DeviceState) -> int:
-    """The number of the next scan, stored durably. Errors as for `write_device`."""
+    """Return the number of the next scan, stored durably. Errors as for `write_device`."""
     write_device(root, msgspec.structs.replace(state, counter=state.counter + 1))
     return state.counter + 1
 
 
 def count_calibration(root: Path, state: DeviceState) -> int:
-    """The number of the next calibration, stored durably: calibrations take no numbers of scans.
+    """Return the number of the next calibration, stored durably: calibrations take no numbers of scans.
 
     A store of a program that numbered both together goes on from their common count.
 
@@ -86,7 +86,7 @@ def count_calibration(root: Path, state: DeviceState) -> int:
 
 
 def current_boot_id() -> str:
-    """Eight hex digits that identify this boot; random where the kernel has no boot id."""
+    """Return eight hex digits that identify this boot; random where the kernel has no boot id."""
     try:
         return _BOOT_ID_FILE.read_text().strip().replace("-", "")[:8]
     except OSError:

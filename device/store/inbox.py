@@ -29,7 +29,7 @@ class InboxItem:
 
 
 def import_inbox(root: Path, room_bytes: int) -> list[InboxItem]:
-    """The outcome for each calibration in the inbox; afterwards the inbox holds none of them.
+    """Return the outcome for each calibration in the inbox; afterwards the inbox holds none of them.
 
     room_bytes : what may be stored at most
 

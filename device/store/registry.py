@@ -59,7 +59,7 @@ class CalibrationRegistry:
         self._key = present_key(profile)
 
     def list(self) -> tuple[RegisteredCalibration, ...]:
-        """Every readable calibration, by key and version. Errors as for `read_registry`."""
+        """Return every readable calibration, by key and version. Errors as for `read_registry`."""
         bundles = {bundle.calibration_id: bundle for bundle in self._store.calibrations().bundles}
         keys = {key_of(bundle.record) for bundle in bundles.values()}
         found = []
@@ -73,7 +73,7 @@ class CalibrationRegistry:
         return tuple(found)
 
     def active_entry(self) -> RegistryEntry | None:
-        """The entry that scans of this instrument use now; None when none fits."""
+        """Return the entry that scans of this instrument use now; None when none fits."""
         current = self._registered(self._key).current
         return current if current and self._is_active(current) else None
 
@@ -179,7 +179,7 @@ class CalibrationRegistry:
         return target
 
     def _registered(self, key: CalibrationKey, slot_of: dict[str, Slot] | None = None) -> RegistryFile:
-        """The registry file of a key, updated to the bundles of the store and the active one."""
+        """Return the registry file of a key, updated to the bundles of the store and the active one."""
         stored = slots = read_registry(self._store.root, key)
         bundles = [b for b in self._store.calibrations().bundles if key_of(b.record) == key]
         for bundle in sorted(bundles, key=lambda b: b.record.identity.counter):
@@ -205,7 +205,7 @@ class CalibrationRegistry:
         raise RecordError(f"no calibration {calibration_id} in {self._store.root}: see `retroscan calibrations`")
 
     def _nothing_fits(self) -> str:
-        """Why no calibration of the store fits, the nearest miss first."""
+        """Return why no calibration of the store fits, the nearest miss first."""
         keys = {key_of(bundle.record) for bundle in self._store.calibrations().bundles}
         same_gel = [key for key in keys if key.gel_id == self._key.gel_id]
         gels = sorted({key.gel_id for key in keys if key.board == self._key.board})

@@ -80,12 +80,12 @@ class RegistryFile(Record, frozen=True, tag_field="schema", tag="retrograph.cali
         return msgspec.structs.replace(self, entries=(*self.entries, entry))
 
     def entry_of(self, calibration_id: str) -> RegistryEntry | None:
-        """The entry of a calibration."""
+        """Return the entry of a calibration."""
         return next((entry for entry in self.entries if entry.calibration_id == calibration_id), None)
 
 
 def read_registry(root: Path, key: CalibrationKey) -> RegistryFile:
-    """The calibrations registered for a key; empty when there are none.
+    """Return the calibrations registered for a key; empty when there are none.
 
     Raises
     ------
@@ -137,19 +137,19 @@ class CalibrationKey:
 
 
 def key_of(record: CalibrationRecord) -> CalibrationKey:
-    """The key of a calibration."""
+    """Return the key of a calibration."""
     return CalibrationKey(record.board, record.gel_id, lights_digest(record.fingerprint, record.shape))
 
 
 def present_key(profile: BoardProfile) -> CalibrationKey:
-    """The key of an instrument as its profile is now, with the mounted gel."""
+    """Return the key of an instrument as its profile is now, with the mounted gel."""
     fingerprint = Fingerprint.of(profile, profile.camera.settings, profile.currents_ma)
     shape = (profile.sensor.rows, profile.sensor.columns)
     return CalibrationKey(profile.name, profile.gel.id, lights_digest(fingerprint, shape))
 
 
 def lights_digest(fingerprint: Fingerprint, shape: tuple[int, int]) -> str:
-    """Digest of a fingerprint without camera settings and currents; the first digits of a SHA-256."""
+    """Return the digest of a fingerprint without camera settings and currents; the first digits of a SHA-256."""
     lights = [(light.name, light.colour, [round(mm, 2) for mm in light.position_mm]) for light in fingerprint.lights]
     facts = [fingerprint.channel_order, fingerprint.orientation, list(shape), lights]
     return sha256_bytes(msgspec.json.encode(facts))[:SHORT]

@@ -55,7 +55,7 @@ def write_schemas(folder: Path) -> None:
 
 
 def schema_bytes(schema: dict[str, Any]) -> bytes:
-    """A schema as the committed files hold it."""
+    """Return a schema as the committed files hold it."""
     return msgspec.json.format(msgspec.json.encode(schema), indent=2) + b"\n"
 
 

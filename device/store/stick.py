@@ -51,7 +51,7 @@ class StickExport:
 
 
 def find_stick(mounts: Path = MOUNTS, roots: tuple[str, ...] = MOUNT_ROOTS) -> Path:
-    """The mounted, writable stick.
+    """Return the mounted, writable stick.
 
     Raises
     ------

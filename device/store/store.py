@@ -96,7 +96,7 @@ class BundleStore:
         return self._device().device_id
 
     def next_identity(self, kind: BundleKind) -> Identity:
-        """A new identity; its counter is stored durably first and never used again.
+        """Return a new identity; its counter is stored durably first and never used again.
 
         Raises
         ------
@@ -116,11 +116,12 @@ class BundleStore:
         )
 
     def wall_time(self) -> datetime:
-        """Time by the device's clock, UTC, whole seconds: an annotation."""
+        """Return the time by the device's clock, UTC, whole seconds: an annotation."""
         return datetime.fromtimestamp(self._clock.wall_time_s(), UTC).replace(microsecond=0)
 
     def publish_scan(self, record: ScanRecord, write: FileWriter) -> ScanBundle:
-        """The published scan. `write` puts the bundle's files into the directory it is given, without subfolders.
+        """Return the published scan. `write` puts the bundle's files into the directory it is given, without
+        subfolders.
 
         Raises
         ------
@@ -141,7 +142,7 @@ class BundleStore:
             return ScanBundle(publish_bundle(self.root, "scans", record.scan_id, write, manifest), published[0])
 
     def publish_calibration(self, record: CalibrationRecord, write: FileWriter) -> CalibrationBundle:
-        """The published calibration, not active yet. Arguments and errors as for `publish_scan`."""
+        """Return the published calibration, not active yet. Arguments and errors as for `publish_scan`."""
 
         published: list[CalibrationRecord] = []
 
@@ -155,12 +156,12 @@ class BundleStore:
             return CalibrationBundle(directory, published[0])
 
     def scans(self) -> Listing[ScanBundle]:
-        """Every published scan, sorted by id, and the damaged ones."""
+        """Return every published scan, sorted by id, and the damaged ones."""
         with self._translating("read"):
             return list_bundles(self.root, "scans", read_scan)
 
     def calibrations(self) -> Listing[CalibrationBundle]:
-        """Every published calibration, sorted by id, and the damaged ones."""
+        """Return every published calibration, sorted by id, and the damaged ones."""
         with self._translating("read"):
             return list_bundles(self.root, "calibrations", read_calibration)
 
@@ -183,7 +184,7 @@ class BundleStore:
         return bundle
 
     def active_calibration(self) -> CalibrationBundle:
-        """The active calibration.
+        """Return the active calibration.
 
         Raises
         ------
@@ -294,7 +295,7 @@ SERVICE_STORE: Final = Path("/var/lib/retroscan")
 
 
 def default_store(service_store: Path = SERVICE_STORE) -> Path:
-    """The service's folder when it exists and is writable, else `retroscan` in the user's data folder."""
+    """Return the service's folder when it exists and is writable, else `retroscan` in the user's data folder."""
     if service_store.is_dir() and os.access(service_store, os.W_OK):
         return service_store
     try:
@@ -350,7 +351,7 @@ class _Shared:
             return [entry.name for entry in entries]
 
     def file_size(self, name: str) -> int:
-        """Size of a regular file, bytes; -1 for anything else."""
+        """Return the size of a regular file, bytes; -1 for anything else."""
         with suppress(OSError):
             facts = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False)
             if stat.S_ISREG(facts.st_mode):

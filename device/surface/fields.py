@@ -42,7 +42,7 @@ class GradientField:
 
 
 def full_rectangle(p: Float32Array, q: Float32Array) -> GradientField:
-    """A gradient field without holes or weights: every pixel is valid and has weight 1.
+    """Return a gradient field without holes or weights: every pixel is valid and has weight 1.
 
     `valid` and `weight` are read-only broadcast views of one value.
     """
@@ -62,7 +62,7 @@ class HeightMap:
 
 
 def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
-    """Slopes (p, q) by central differences: float32 arrays of shape (H, W), NaN next to invalid pixels.
+    """Return slopes (p, q) by central differences: float32 arrays of shape (H, W), NaN next to invalid pixels.
 
     They are of fourth order, which keep 0.995 of a wave of 10 px instead of 0.935; of second order, or one-sided, next
     to invalid pixels and the border.
@@ -72,7 +72,7 @@ def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
 
 
 def _slope(z: Float32Array, axis: int) -> Float32Array:
-    """Slope along an axis of at least two pixels."""
+    """Return the slope along an axis of at least two pixels."""
     near = np.asarray(np.gradient(z, axis=axis), np.float32)
     if z.shape[axis] > MIN_FOURTH_ORDER:
         kernel = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / np.float32(12.0)

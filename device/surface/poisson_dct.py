@@ -15,7 +15,7 @@ from device.surface.fields import Float32Array, Float64Array
 
 
 def integrate_dct(p: Float32Array, q: Float32Array, pitch_um: float) -> Float32Array:
-    """Height with mean zero: float32 array of shape (H, W), µm, from slopes of the same shape (µm/µm).
+    """Return the height with mean zero: float32 array of shape (H, W), µm, from slopes of the same shape (µm/µm).
 
     pitch_um : distance of neighbouring pixels, µm
     """
@@ -34,12 +34,13 @@ def integrate_dct(p: Float32Array, q: Float32Array, pitch_um: float) -> Float32A
 
 @lru_cache(maxsize=2)
 def _inverse_eigenvalues(shape: tuple[int, ...], pitch_um: float) -> Float32Array:
-    """Height per unit of twice the divergence, µm, for each cosine: float32 array of shape (H, W); 0 for the mean."""
+    """Return the height per unit of twice the divergence, µm, for each cosine: float32 array of shape (H, W); 0 for the
+    mean."""
     return np.asarray(0.5 * pitch_um / eigenvalues(shape), np.float32)
 
 
 def eigenvalues(shape: tuple[int, ...]) -> Float64Array:
-    """Eigenvalue of the least-squares operator for each cosine: float64 array of shape (H, W).
+    """Return the eigenvalue of the least-squares operator for each cosine: float64 array of shape (H, W).
 
     The zero eigenvalue of the mean is replaced by infinity, so that dividing by these gives heights with mean zero.
     """

@@ -18,6 +18,6 @@ def slope_from_stereographic(u: NDArray[Any]) -> NDArray[Any]:
 
 
 def stereographic_from_slope(p: NDArray[Any], q: NDArray[Any]) -> NDArray[Any]:
-    """Stereographic slopes of shape (N, 2)."""
+    """Return the stereographic slopes of shape (N, 2)."""
     scale = 2.0 / (1.0 + np.sqrt(1.0 + p * p + q * q))
     return np.asarray(np.stack([p, q], axis=-1) * scale[..., None])

@@ -45,7 +45,7 @@ def board_hardware(
     operator: Operator | None = None,
     camera: Camera | None = None,
 ) -> Hardware:
-    """The hardware of a real board; nothing is accessed before it is entered.
+    """Return the hardware of a real board; nothing is accessed before it is entered.
 
     camera : used where the profile has no [libcamera] table
 

@@ -79,7 +79,7 @@ class Debouncer:
         return unreported[0]
 
     def next_press(self) -> ButtonPress | None:
-        """The next released press, if any."""
+        """Return the next released press, if any."""
         return self._presses.pop(0) if self._presses else None
 
     def clear(self) -> int:
@@ -117,7 +117,7 @@ class DebouncedButton:
         return self._wait(timeout_s, self._debouncer.next_push_ns)
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press after its release, or None after `timeout_s`.
+        """Return the next press after its release, or None after `timeout_s`.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class DebouncedButton:
         return self._wait(timeout_s, self._debouncer.next_press)
 
     def _wait(self, timeout_s: float | None, poll: Callable[[], Result | None]) -> Result | None:
-        """Result of `poll` as edges come in, or None after `timeout_s`."""
+        """Return the result of `poll` as edges come in, or None after `timeout_s`."""
         line = self._opened()
         end_ns = None if timeout_s is None else self._clock.monotonic_ns() + round(timeout_s * 1e9)
         while True:

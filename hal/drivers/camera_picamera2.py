@@ -79,7 +79,7 @@ class PicameraCamera:
         self._reopen_if_stalled()
 
     def next_frame(self, timeout_s: float) -> RawFrame:
-        """The next raw frame whose read-out ends after now.
+        """Return the next raw frame whose read-out ends after now.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class PicameraCamera:
         return self._next(timeout_s, self._raw_frame)
 
     def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
-        """The next small grey picture, uint8 array of shape (h, w): luma of the small stream."""
+        """Return the next small grey picture, uint8 array of shape (h, w): luma of the small stream."""
         rows, columns = self._config.aiming_rows, self._config.aiming_columns
 
         def luma(request: Request, _metadata: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -120,7 +120,7 @@ class PicameraCamera:
             self._pipeline.open(self._requested)
 
     def _next(self, timeout_s: float, read: Callable[[Request, Mapping[str, Any]], Result]) -> Result:
-        """Result of `read` for the next frame that ends after now."""
+        """Return the result of `read` for the next frame that ends after now."""
         self._reopen_if_stalled()
         asked_ns = alive_ns = self._clock.monotonic_ns()
         end_ns = asked_ns + round(timeout_s * 1e9)
@@ -144,7 +144,8 @@ class PicameraCamera:
     def _read(
         self, request: Request, asked_ns: int, read: Callable[[Request, Mapping[str, Any]], Result]
     ) -> Result | None:
-        """Result of `read` for a request, or None when its frame ended before `asked_ns`; releases its buffers."""
+        """Return the result of `read` for a request, or None when its frame ended before `asked_ns`; releases its
+        buffers."""
 
         def unpack(_camera: OpenCamera) -> Result | None:
             metadata = request.get_metadata()
@@ -156,7 +157,8 @@ class PicameraCamera:
             request.release()
 
     def _raw_frame(self, request: Request, metadata: Mapping[str, Any]) -> RawFrame:
-        """The frame. libcamera stamps the read-out of the first row; the exposure began one exposure time earlier."""
+        """Return the frame. libcamera stamps the read-out of the first row; the exposure began one exposure time
+        earlier."""
         stream = self._pipeline.stream
         exposure_us = float(self._metadata_value(metadata, "ExposureTime"))
         return RawFrame(

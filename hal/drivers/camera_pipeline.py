@@ -53,7 +53,7 @@ class RawStream:
 
     @classmethod
     def granted(cls, stream: Mapping[str, Any], sensor: SensorConfig, config: LibcameraConfig) -> RawStream:
-        """The stream of a camera configuration, checked against the profile.
+        """Return the stream of a camera configuration, checked against the profile.
 
         Raises
         ------
@@ -87,7 +87,8 @@ class RawStream:
         return cls(rows, columns, int(stream["stride"]), bits, order)
 
     def mosaic(self, buffer: NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Counts without the padding of the stride, uint16 array of shape (H, W), from bytes of shape (H, stride).
+        """Return counts without the padding of the stride, uint16 array of shape (H, W), from bytes of shape (H,
+        stride).
 
         Raises
         ------
@@ -104,7 +105,7 @@ class RawStream:
         return np.ascontiguousarray(buffer.view(np.uint16)[:, : self.columns])
 
     def black_level_dn(self, metadata: Mapping[str, Any]) -> float:
-        """Mean black level from a frame's metadata, in counts of this stream.
+        """Return the mean black level from a frame's metadata, in counts of this stream.
 
         Raises
         ------
@@ -190,7 +191,7 @@ class CameraPipeline:
         self.guarded("take controls", lambda camera: camera.set_controls(self._controls(settings)))
 
     def request(self, timeout_s: float) -> Request | None:
-        """The next completed request, or None; one that comes too late is released."""
+        """Return the next completed request, or None; one that comes too late is released."""
         job = self.guarded("deliver a frame", lambda camera: camera.capture_request(wait=False))
         if request := self.guarded("deliver a frame", lambda _camera: _awaited(job, timeout_s)):
             return request
@@ -201,7 +202,7 @@ class CameraPipeline:
         return None
 
     def guarded(self, what: str, act: Callable[[OpenCamera], Result]) -> Result:
-        """Result of `act`; errors of picamera2, including time-outs of the kernel, become one sentence.
+        """Return the result of `act`; errors of picamera2, including time-outs of the kernel, become one sentence.
 
         Raises
         ------
@@ -261,7 +262,7 @@ class CameraPipeline:
         )
 
     def _find(self, stack: CameraStack) -> tuple[int, str]:
-        """Index and name of the one camera that the profile names."""
+        """Return the index and name of the one camera that the profile names."""
         try:
             names = [str(info.get("Id")) for info in stack.global_camera_info()]
         except (RuntimeError, OSError, ValueError, LookupError, AttributeError) as error:
@@ -280,7 +281,7 @@ class CameraPipeline:
         )
 
     def _configured(self, camera: OpenCamera, settings: CameraSettings) -> Mapping[str, Any]:
-        """The granted raw stream."""
+        """Return the granted raw stream."""
         size = (self._sensor.columns, self._sensor.rows)
         configuration = camera.create_still_configuration(
             main={"size": (self._config.aiming_columns, self._config.aiming_rows), "format": "YUV420"},
@@ -297,7 +298,7 @@ class CameraPipeline:
         return granted or {}
 
     def _controls(self, settings: CameraSettings) -> dict[str, Any]:
-        """All controls that libcamera would otherwise choose by itself."""
+        """Return all controls that libcamera would otherwise choose by itself."""
         period_us = round(self._config.frame_period_us)
         controls: dict[str, Any] = {
             "AeEnable": False,
@@ -318,7 +319,7 @@ class CameraPipeline:
 
 
 def _awaited(job: Job, timeout_s: float) -> Request | None:
-    """The job's request, or None when it does not come in time; a time-out of the kernel is an `OSError`."""
+    """Return the job's request, or None when it does not come in time; a time-out of the kernel is an `OSError`."""
     try:
         return job.get_result(timeout=timeout_s)
     except TimeoutError as error:

@@ -41,7 +41,7 @@ SITES: Final = ((2, ((0, 0),)), (1, ((0, 1), (1, 0))), (0, ((1, 1),)))
 
 
 def decoded(data: bytes, stream: StreamFormat) -> NDArray[np.uint8] | None:
-    """The picture, uint8 array of shape (H, W, 3), B, G, R; None when it is damaged."""
+    """Return the picture, uint8 array of shape (H, W, 3), B, G, R; None when it is damaged."""
     buffer = np.frombuffer(data, np.uint8)
     rows, columns = stream.rows, stream.columns
     if stream.pixel_format in ("MJPG", "JPEG"):
@@ -63,7 +63,7 @@ def decoded(data: bytes, stream: StreamFormat) -> NDArray[np.uint8] | None:
 
 
 def mosaic_of(picture: NDArray[np.uint8], encoding: Literal["srgb", "linear"]) -> NDArray[np.uint16]:
-    """The mosaic of a picture, uint16 array of shape (H, W), RGGB, linear light of 0 to `WHITE_DN`.
+    """Return the mosaic of a picture, uint16 array of shape (H, W), RGGB, linear light of 0 to `WHITE_DN`.
 
     picture : uint8 array of shape (H, W, 3), B, G, R; H and W are even
     """
@@ -77,14 +77,15 @@ def mosaic_of(picture: NDArray[np.uint8], encoding: Literal["srgb", "linear"]) -
 
 
 def aiming_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A small grey picture, uint8 array of shape (H / 8, W / 8)."""
+    """Return a small grey picture, uint8 array of shape (H / 8, W / 8)."""
     rows, columns, _ = picture.shape
     small = cv2.resize(picture, (columns // AIMING_STEP, rows // AIMING_STEP), interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _means(light: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Mean light around each pixel, uint16 array of shape (H, W); white where one of the pixels is saturated."""
+    """Return the mean light around each pixel, uint16 array of shape (H, W); white where one of the pixels is
+    saturated."""
     mean = np.asarray(cv2.sepFilter2D(light, -1, KERNEL, KERNEL, borderType=cv2.BORDER_REFLECT_101), np.uint16)
     if saturated.any():
         mean[cv2.dilate(saturated.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = WHITE_DN
@@ -93,7 +94,7 @@ def _means(light: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> NDArray[n
 
 @lru_cache(maxsize=2)
 def _light(encoding: Literal["srgb", "linear"]) -> NDArray[np.uint16]:
-    """Linear light of each stored value, uint16 array of 256 entries."""
+    """Return linear light of each stored value, uint16 array of 256 entries."""
     values = np.arange(256) / 255.0
     if encoding == "srgb":  # IEC 61966-2-1
         values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
@@ -153,7 +154,7 @@ class UvcCamera:
             self._guarded(self._lock)
 
     def next_frame(self, timeout_s: float) -> RawFrame:
-        """The next frame that ends after now.
+        """Return the next frame that ends after now.
 
         Raises
         ------
@@ -173,7 +174,7 @@ class UvcCamera:
         )
 
     def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
-        """The next small grey picture, uint8 array of shape (H / 8, W / 8). Errors as for `next_frame`."""
+        """Return the next small grey picture, uint8 array of shape (H / 8, W / 8). Errors as for `next_frame`."""
         return aiming_picture(self._next(timeout_s)[0])
 
     def __enter__(self) -> Self:
@@ -237,7 +238,7 @@ class UvcCamera:
         return True
 
     def _next(self, timeout_s: float) -> tuple[NDArray[np.uint8], int, CameraSettings]:
-        """The next frame's part of the picture (B, G, R), when its exposure began (ns), and its settings."""
+        """Return the next frame's part of the picture (B, G, R), when its exposure began (ns), and its settings."""
         self._reopened()
         asked_ns = max(self._clock.monotonic_ns(), self._settled_ns)
         end_ns = asked_ns + round(timeout_s * 1e9)
@@ -272,7 +273,7 @@ class UvcCamera:
         return self._device
 
     def _guarded(self, act: Callable[[], Result]) -> Result:
-        """Result of `act`; a camera that the kernel lost is closed, so that the next call opens it again."""
+        """Return the result of `act`; a camera that the kernel lost is closed, so that the next call opens it again."""
         with self._one_sentence():
             return act()
 

@@ -22,7 +22,7 @@ class LedChip(Protocol):
         ...
 
     def granted_ma(self, current_ma: float) -> float:
-        """The chip's nearest step of current (mA); 0 only for 0."""
+        """Return the chip's nearest step of current (mA); 0 only for 0."""
         ...
 
     def start(self) -> None:
@@ -38,7 +38,7 @@ class LedChip(Protocol):
         ...
 
     def flags(self) -> dict[int, str]:
-        """Faults that the chip reports, by channel: "open", "short" or "hot"."""
+        """Return faults that the chip reports, by channel: "open", "short" or "hot"."""
         ...
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class ChipLights:
         return min(self._max_ma.values())
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """The chip's nearest steps to these currents (mA).
+        """Return the chip's nearest steps to these currents (mA).
 
         Raises
         ------
@@ -140,7 +140,7 @@ class ChipLights:
         return {name: self._granted_ma(name, current) for name, current in currents_ma.items()}
 
     def _granted_ma(self, name: str, current_ma: float) -> float:
-        """The chip's step nearest to the request that does not exceed the light's limit, mA."""
+        """Return the chip's step nearest to the request that does not exceed the light's limit, mA."""
         granted = self._chip.granted_ma(current_ma)
         if granted <= self._max_ma[name] * (1.0 + 1e-9):
             return granted

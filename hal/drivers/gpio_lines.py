@@ -35,15 +35,15 @@ class InputLine(Protocol):
     """A line that reports its edges."""
 
     def wait(self, timeout_s: float | None) -> bool:
-        """True when edges can be read within `timeout_s` (None waits without limit)."""
+        """Return True when edges can be read within `timeout_s` (None waits without limit)."""
         ...
 
     def edges(self) -> list[Edge]:
-        """Edges since the last call, oldest first."""
+        """Return edges since the last call, oldest first."""
         ...
 
     def is_active(self) -> bool:
-        """The level now."""
+        """Return the level now."""
         ...
 
     def release(self) -> None:
@@ -68,7 +68,7 @@ class GpiodInput:
 
     @classmethod
     def open(cls, label: str, offset: int, active_low: bool, devices: Path = DEVICES) -> Self:
-        """The line at an offset of the chip with that label, biased to its inactive level, reporting both edges.
+        """Return the line at an offset of the chip with that label, biased to its inactive level, reporting both edges.
 
         Raises
         ------
@@ -98,14 +98,14 @@ class GpiodInput:
         return cls(request, place)
 
     def wait(self, timeout_s: float | None) -> bool:
-        """True when edges can be read."""
+        """Return True when edges can be read."""
         try:
             return self._request.wait_edge_events(timeout_s)
         except OSError as error:
             raise self._unreadable(error) from error
 
     def edges(self) -> list[Edge]:
-        """Edges since the last call."""
+        """Return edges since the last call."""
         from gpiod import EdgeEvent
 
         try:
@@ -115,7 +115,7 @@ class GpiodInput:
         return [Edge(event.timestamp_ns, event.event_type is EdgeEvent.Type.RISING_EDGE) for event in events]
 
     def is_active(self) -> bool:
-        """The level now."""
+        """Return the level now."""
         from gpiod.line import Value
 
         try:
@@ -211,7 +211,7 @@ def load_gpiod() -> ModuleType:
 
 
 def _chip_path(label: str, place: str, failure: type[HalError], devices: Path) -> str:
-    """Device file of the GPIO chip with that label."""
+    """Return the device file of the GPIO chip with that label."""
     import gpiod
 
     found = []

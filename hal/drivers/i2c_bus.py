@@ -40,7 +40,7 @@ OpenBus = Callable[[int], SmBus]
 
 
 def open_smbus(bus: int) -> SmBus:
-    """The I²C bus of that number, through smbus2.
+    """Return the I²C bus of that number, through smbus2.
 
     Raises
     ------
@@ -142,5 +142,5 @@ class I2cChip:
 
 
 def _pins(bus: int) -> str:
-    """Pins of the bus on the 40-pin header."""
+    """Return pins of the bus on the 40-pin header."""
     return "SDA/SCL on pins 3 and 5" if bus == 1 else f"SDA/SCL of bus {bus}"

@@ -45,7 +45,7 @@ class Pca9955b:
         return STEPS * self._step_ma
 
     def granted_ma(self, current_ma: float) -> float:
-        """Nearest step of the channel current, mA."""
+        """Return the nearest step of the channel current, mA."""
         return self._steps(current_ma) * self._step_ma
 
     def start(self) -> None:

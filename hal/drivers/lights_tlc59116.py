@@ -51,7 +51,7 @@ class Tlc59116:
         return self._full_ma * (STEPS - 1) / STEPS
 
     def granted_ma(self, current_ma: float) -> float:
-        """Mean current (mA) of the nearest duty cycle."""
+        """Return the mean current (mA) of the nearest duty cycle."""
         return self._duty(current_ma) * self._full_ma / STEPS
 
     def start(self) -> None:

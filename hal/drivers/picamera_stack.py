@@ -17,11 +17,11 @@ class Request(Protocol):
     """A completed request: its buffers return to the camera once it is released."""
 
     def get_metadata(self) -> dict[str, Any]:
-        """The frame's own metadata."""
+        """Return the frame's own metadata."""
         ...
 
     def make_array(self, name: str) -> NDArray[np.uint8]:
-        """A copy of a stream's buffer, uint8 array of shape (rows, stride) for raw."""
+        """Return a copy of a stream's buffer, uint8 array of shape (rows, stride) for raw."""
         ...
 
     def release(self) -> None:
@@ -33,7 +33,7 @@ class Job(Protocol):
     """A pending request."""
 
     def get_result(self, timeout: float | None = None) -> Request:
-        """The request; TimeoutError when it does not come in time, CancelledError when it was cancelled."""
+        """Return the request; TimeoutError when it does not come in time, CancelledError when it was cancelled."""
         ...
 
 
@@ -61,7 +61,7 @@ class OpenCamera(Protocol):
         ...
 
     def capture_request(self, wait: bool) -> Job:
-        """The next completed request, or a job for it without `wait`."""
+        """Return the next completed request, or a job for it without `wait`."""
         ...
 
     def cancel_all_and_flush(self) -> None:
@@ -77,7 +77,7 @@ class CameraStack(Protocol):
     """The part of the class `Picamera2` that is used."""
 
     def global_camera_info(self) -> list[dict[str, Any]]:
-        """Every attached camera: "Id", "Model", "Num"."""
+        """Return every attached camera: "Id", "Model", "Num"."""
         ...
 
     def __call__(self, camera_num: int) -> OpenCamera:
@@ -86,7 +86,7 @@ class CameraStack(Protocol):
 
 
 def load_picamera2() -> CameraStack:
-    """The class `Picamera2`.
+    """Return the class `Picamera2`.
 
     Raises
     ------

@@ -32,7 +32,8 @@ class Max17048:
         self._chip = chip
 
     def read(self) -> tuple[float, float]:
-        """Cell voltage (mV) and charge (0 to 1; the gauge may report slightly more than 1, which is clipped).
+        """Return the cell voltage (mV) and charge (0 to 1; the gauge may report slightly more than 1, which is
+        clipped).
 
         Raises
         ------

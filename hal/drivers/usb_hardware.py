@@ -26,7 +26,7 @@ def usb_hardware(
     operator: Operator | None = None,
     button: Button | None = None,
 ) -> Hardware:
-    """The hardware of a sensor on USB; nothing is accessed before it is entered.
+    """Return the hardware of a sensor on USB; nothing is accessed before it is entered.
 
     stack, keys, operator, button : emulated ones, instead of this machine's
 
@@ -77,7 +77,7 @@ class KeyLine(Protocol):
     """Source of whole lines."""
 
     def wait(self, timeout_s: float) -> int:
-        """Number of Enter keys pressed, as soon as there is one, or 0 after `timeout_s`.
+        """Return the number of Enter keys pressed, as soon as there is one, or 0 after `timeout_s`.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Terminal:
         self._clock = clock
 
     def wait(self, timeout_s: float) -> int:
-        """Number of Enter keys pressed; keys are left alone while the terminal is not read by lines."""
+        """Return the number of Enter keys pressed; keys are left alone while the terminal is not read by lines."""
         handle = sys.stdin.fileno()
         if not _reads_lines(handle):
             self._clock.sleep(timeout_s)
@@ -117,7 +117,7 @@ class KeyboardButton:
         self._released: list[int] = []
 
     def wait_for_push(self, timeout_s: float | None) -> int | None:
-        """Time of the next Enter key (ns), or None after `timeout_s`.
+        """Return the time of the next Enter key (ns), or None after `timeout_s`.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class KeyboardButton:
         return began_ns
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next Enter key, or the one that `wait_for_push` reported; None after `timeout_s`."""
+        """Return the next Enter key, or the one that `wait_for_push` reported; None after `timeout_s`."""
         if not self._released:
             self.wait_for_push(timeout_s)
         return ButtonPress(self._released.pop(0), KEY_HELD_S) if self._released else None

@@ -114,7 +114,7 @@ class LockedControls:
                 yield what, missing[0]
 
     def _values(self, settings: CameraSettings) -> Iterator[tuple[str, int]]:
-        """Controls and their values, automatic ones first: they hold back those that they would change."""
+        """Yield controls and their values, automatic ones first: they hold back those that they would change."""
         config = self._config
         asked: dict[str, float | None] = {
             "exposure_time": settings.exposure_us // EXPOSURE_UNIT_US,
@@ -159,7 +159,7 @@ class LockedControls:
 
 
 def _granted(value: float, limits: ControlRange) -> int:
-    """The nearest value that a control accepts."""
+    """Return the nearest value that a control accepts."""
     step = max(limits.step, 1)
     inside = min(max(round(value), limits.lowest), limits.highest)
     return limits.lowest + (inside - limits.lowest) // step * step

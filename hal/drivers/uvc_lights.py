@@ -36,7 +36,7 @@ class AlwaysOnLights:
         return max(self._shining.values())
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """The lights' own currents.
+        """Return the lights' own currents.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class ZoomControlLights:
         return float(STEPS)
 
     def granted_ma(self, currents_ma: Mapping[str, float]) -> dict[str, float]:
-        """The nearest steps.
+        """Return the nearest steps.
 
         Raises
         ------

@@ -25,7 +25,7 @@ class KernelVideo:
     """See `VideoStack`."""
 
     def cameras(self) -> list[VideoInfo]:
-        """Every device file that is a camera and can be opened."""
+        """Return every device file that is a camera and can be opened."""
         found = []
         for path in sorted(DEVICES.glob("video*")):
             with suppress(OSError):
@@ -55,16 +55,16 @@ class KernelCamera:
 
     def granted_format(self, asked: StreamFormat, frame_period_us: float) -> StreamFormat:
         """Request a format and a frame period, and return the format that is granted."""
-        told = Format(type=CAPTURE)
-        told.fmt.pix.width, told.fmt.pix.height = asked.columns, asked.rows
-        told.fmt.pix.pixelformat = format_code(asked.pixel_format)
-        told.fmt.pix.field = 1  # none: the whole picture at once
-        self._do("VIDIOC_S_FMT", told)
+        requested = Format(type=CAPTURE)
+        requested.fmt.pix.width, requested.fmt.pix.height = asked.columns, asked.rows
+        requested.fmt.pix.pixelformat = format_code(asked.pixel_format)
+        requested.fmt.pix.field = 1  # none: the whole picture at once
+        self._do("VIDIOC_S_FMT", requested)
         rate = StreamParameters(type=CAPTURE)
         rate.parm.capture.numerator = round(frame_period_us)
         rate.parm.capture.denominator = US_PER_S
         self._do("VIDIOC_S_PARM", rate)
-        pix = told.fmt.pix
+        pix = requested.fmt.pix
         return StreamFormat(pix.width, pix.height, four_letters(pix.pixelformat), pix.bytesperline)
 
     def control_range(self, control: int) -> ControlRange | None:
@@ -81,7 +81,7 @@ class KernelCamera:
         return ControlRange(query.minimum, query.maximum, query.step)
 
     def read_control(self, control: int) -> int:
-        """Value of a control, from the camera."""
+        """Return the value of a control, from the camera."""
         value = ControlValue(id=control)
         self._do("VIDIOC_G_CTRL", value)
         return int(value.value)
@@ -102,7 +102,7 @@ class KernelCamera:
         self._do("VIDIOC_STREAMON", ctypes.c_int32(CAPTURE))
 
     def next_picture(self, timeout_s: float) -> Picture | None:
-        """The oldest picture that waits, or the next; None after `timeout_s`, or of a damaged one."""
+        """Return the oldest picture that waits, or the next; None after `timeout_s`, or of a damaged one."""
         events = self._poll.poll(max(timeout_s, 0.0) * 1e3)
         if not events:
             return None
@@ -138,7 +138,7 @@ class KernelCamera:
 
 
 def _serial(path: Path) -> str:
-    """Serial number of the USB device behind a device file; empty where there is none."""
+    """Return the serial number of the USB device behind a device file; empty where there is none."""
     try:
         return ((CLASSES / path.name / "device").resolve().parent / "serial").read_text(errors="replace").strip()
     except OSError:
@@ -310,7 +310,7 @@ _READ, _WRITE = 2, 1
 
 
 def _call(direction: int, number: int, size: int) -> int:
-    """Number of an `ioctl` of the video interface."""
+    """Return the number of an `ioctl` of the video interface."""
     return direction << 30 | size << 16 | ord("V") << 8 | number
 
 
@@ -331,10 +331,10 @@ CALLS: Final = {
 
 
 def four_letters(code: int) -> str:
-    """A pixel format's four letters."""
+    """Return a pixel format's four letters."""
     return code.to_bytes(4, "little").decode("latin-1")
 
 
 def format_code(letters: str) -> int:
-    """The number of a pixel format."""
+    """Return the number of a pixel format."""
     return int.from_bytes(letters.encode("latin-1"), "little")

@@ -86,7 +86,7 @@ class VideoDevice(Protocol):
         ...
 
     def read_control(self, control: int) -> int:
-        """Value of a control, from the camera."""
+        """Return the value of a control, from the camera."""
         ...
 
     def write_control(self, control: int, value: int) -> None:
@@ -98,7 +98,7 @@ class VideoDevice(Protocol):
         ...
 
     def next_picture(self, timeout_s: float) -> Picture | None:
-        """The oldest picture that waits, or the next; None after `timeout_s`. Damaged ones are left out."""
+        """Return the oldest picture that waits, or the next; None after `timeout_s`. Damaged ones are left out."""
         ...
 
     def close(self) -> None:
@@ -110,7 +110,7 @@ class VideoStack(Protocol):
     """The cameras of a machine."""
 
     def cameras(self) -> list[VideoInfo]:
-        """Every camera that can stream pictures."""
+        """Return every camera that can stream pictures."""
         ...
 
     def open(self, path: str) -> VideoDevice:

@@ -10,7 +10,7 @@ from hal.simulator.lens import GEL_INDEX
 
 
 def twin_of(profile: BoardProfile) -> BoardProfile:
-    """The profile with the twin's driver, its camera where the lens stands sharp.
+    """Return the profile with the twin's driver, its camera where the lens stands sharp.
 
     Raises
     ------

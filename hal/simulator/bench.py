@@ -91,7 +91,7 @@ class Timeline(Generic[Value]):
         return self._changes[-1][1]
 
     def value_at(self, at_ns: int) -> Value:
-        """The value at that time."""
+        """Return the value at that time."""
         held = self._changes[0][1]
         for start_ns, value in self._changes:
             if start_ns > at_ns:
@@ -100,7 +100,7 @@ class Timeline(Generic[Value]):
         return held
 
     def spans(self, began_ns: int, ended_ns: int) -> Iterator[tuple[int, Value]]:
-        """Every value within the interval, with its duration (ns) in it."""
+        """Yield every value within the interval, with its duration (ns) in it."""
         ends = [start for start, _ in self._changes[1:]] + [ended_ns]
         starts = [began_ns] + [start for start, _ in self._changes[1:]]
         for (_, value), start, end in zip(self._changes, starts, ends, strict=True):
@@ -185,7 +185,7 @@ class SimulatedScene:
             self._button.remove(press)
 
     def next_button_press(self) -> ButtonPress | None:
-        """The next scheduled push, if any."""
+        """Return the next scheduled push, if any."""
         return self._button[0] if self._button else None
 
     def take_button_press(self) -> ButtonPress:
@@ -193,7 +193,7 @@ class SimulatedScene:
         return self._button.pop(0)
 
     def truth(self) -> TwinTruth:
-        """The true skin now."""
+        """Return the true skin now."""
         skin = self._scene(self.clock.monotonic_ns()).skin
         z_um = skin.height_mm * np.float32(1e3)
         pitch_um = self.profile.sensor.pixel_pitch_um
@@ -201,7 +201,7 @@ class SimulatedScene:
         return TwinTruth(z_um, np.asarray(p, np.float32), np.asarray(q, np.float32), skin.contact, pitch_um)
 
     def expose(self, index: int, began_ns: int, settings: CameraSettings) -> RawFrame:
-        """The frame with that index whose exposure began then; its noise depends on seed and index only."""
+        """Return the frame with that index whose exposure began then; its noise depends on seed and index only."""
         exposure_ns = round(settings.exposure_us * 1e3)
         scene = self._scene(began_ns + exposure_ns // 2)
         sensor = self.profile.sensor
@@ -224,14 +224,14 @@ class SimulatedScene:
         return self._render(press)
 
     def _dose_ma_ms(self, light: str, began_ns: int, ended_ns: int) -> float:
-        """Current times duration (mA ms) of one light within an exposure, including changes during it."""
+        """Return the current times duration (mA ms) of one light within an exposure, including changes during it."""
         spans = self._driven.spans(began_ns, ended_ns)
         return sum(currents.get(light, 0.0) * overlap_ns * 1e-6 for overlap_ns, currents in spans)
 
 
 @lru_cache(maxsize=1)
 def dust(shape: tuple[int, int], pitch_um: float, seed: int) -> Float32Array:
-    """Fraction of the light that dust leaves in every pixel: float32 array of `shape` (H, W)."""
+    """Return the fraction of the light that dust leaves in every pixel: float32 array of `shape` (H, W)."""
     random = np.random.default_rng([seed, 0xD0])
     row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     left = np.ones(shape, np.float32)
@@ -242,7 +242,7 @@ def dust(shape: tuple[int, int], pitch_um: float, seed: int) -> Float32Array:
 
 
 def build(profile: BoardProfile, clock: Clock, seed: int | None = None) -> SimulatedScene:
-    """A world with an untouched gel and lights off; uses the profile's seed by default.
+    """Return a world with an untouched gel and lights off; uses the profile's seed by default.
 
     Raises
     ------

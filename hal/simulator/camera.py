@@ -41,16 +41,16 @@ class SensorControls:
     blank_lines: int = 0
 
     def granted_gain(self, asked: float) -> float:
-        """The sensor's gain for a request: libcamera cuts its code to a whole number."""
+        """Return the sensor's gain for a request: libcamera cuts its code to a whole number."""
         code = math.floor(200.0 * math.log10(asked) if self.in_decibels else 1024.0 - 1024.0 / asked)
         return self.gain(min(max(code, self.codes[0]), self.codes[1]))
 
     def gain(self, code: int) -> float:
-        """The gain of a code, in the single precision of metadata."""
+        """Return the gain of a code, in the single precision of metadata."""
         return float(np.float32(10.0 ** (code / 200.0) if self.in_decibels else 1024.0 / (1024.0 - code)))
 
     def granted_exposure_us(self, asked_us: float, step_us: float, frame_us: float | None) -> float:
-        """The exposure for a request, in whole µs as metadata state it; no longer than a locked frame allows."""
+        """Return the exposure for a request, in whole µs as metadata state it; no longer than a locked frame allows."""
         line_us = step_us / self.lines_per_step
         lines = math.floor((asked_us - self.offset_us) / line_us)
         if frame_us is not None:
@@ -121,7 +121,7 @@ class TwinCamera:
         self._pending.append((self._index + self._bench.twin.control_delay_frames, self._granted(settings)))
 
     def next_frame(self, timeout_s: float) -> RawFrame:
-        """The next frame whose read-out ends after now.
+        """Return the next frame whose read-out ends after now.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class TwinCamera:
         return frame
 
     def aiming_view(self, timeout_s: float) -> NDArray[np.uint8]:
-        """The next frame's green pixels, every `AIMING_STEP`-th, as 8 bits: uint8 array of shape (h, w)."""
+        """Return the next frame's green pixels, every `AIMING_STEP`-th, as 8 bits: uint8 array of shape (h, w)."""
         frame = self.next_frame(timeout_s)
         column = frame.bayer_order.index("G") % 2
         green = frame.mosaic[0 :: 2 * AIMING_STEP, column :: 2 * AIMING_STEP].astype(np.float32)

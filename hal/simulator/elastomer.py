@@ -38,12 +38,13 @@ class Skin:
 
 
 def decay_length_mm(thickness_mm: float) -> float:
-    """Distance (mm) over which a dent decays by a factor e."""
+    """Return the distance (mm) over which a dent decays by a factor e."""
     return thickness_mm / 3.0
 
 
 def ball_indentation_mm(radius_mm: float, slope_angle_rad: float, thickness_mm: float) -> float:
-    """Depth (mm) at which a ball's contact ends with the given slope: its cap plus the lift of the skin around it."""
+    """Return the depth (mm) at which a ball's contact ends with the given slope: its cap plus the lift of the skin
+    around it."""
     length = decay_length_mm(thickness_mm)
     rim = radius_mm * np.sin(slope_angle_rad) / length
     lift = np.tan(slope_angle_rad) * length * k0e(rim) / k1e(rim)
@@ -51,7 +52,7 @@ def ball_indentation_mm(radius_mm: float, slope_angle_rad: float, thickness_mm: 
 
 
 def drape(object_mm: FloatArray, pitch_mm: float, thickness_mm: float, cycles: int = 8) -> Skin:
-    """The skin over an object of height `object_mm`, array of shape (H, W), mm, NaN outside the object."""
+    """Return the skin over an object of height `object_mm`, array of shape (H, W), mm, NaN outside the object."""
     obstacle = np.where(np.isfinite(object_mm), object_mm, _NOTHING).astype(np.float32)
     stiffness = (decay_length_mm(thickness_mm) / pitch_mm) ** 2
     height = _solve(obstacle, stiffness, cycles)
@@ -73,7 +74,7 @@ def _solve(obstacle: Float32Array, stiffness: float, cycles: int) -> Float32Arra
 
 
 def _cycle(height: Float32Array, stiffness: float, obstacle: Float32Array) -> Float32Array:
-    """One V-cycle: the free skin is corrected from coarser grids, the contact changes by relaxation only."""
+    """Return one V-cycle: the free skin is corrected from coarser grids, the contact changes by relaxation only."""
     for _ in range(2):
         height = _relax(height, stiffness, obstacle)
     free = (height > obstacle).astype(np.float32)
@@ -103,26 +104,26 @@ def _correct(residual: Float32Array, free_fraction: Float32Array, stiffness: flo
 
 
 def _residual(values: Float32Array, load: Float32Array, free: Float32Array, stiffness: float) -> Float32Array:
-    """Residual of (1 - stiffness Δ) values = load in free cells; float32 array of the same shape."""
+    """Return the residual of (1 - stiffness Δ) values = load in free cells; float32 array of the same shape."""
     bent = np.float32(stiffness) * (_neighbours(values) - np.float32(4.0) * values)
     return (load + bent - values) * free
 
 
 def _relax(height: Float32Array, stiffness: float, obstacle: Float32Array) -> Float32Array:
-    """One projected, damped Jacobi sweep."""
+    """Return one projected, damped Jacobi sweep."""
     factor = _DAMPING * stiffness / (1.0 + 4.0 * stiffness)
     return np.maximum(_neighbours(height) * np.float32(factor) + np.float32(1.0 - _DAMPING) * height, obstacle)
 
 
 def _relax_free(error: Float32Array, residual: Float32Array, free: Float32Array, stiffness: float) -> Float32Array:
-    """One damped Jacobi sweep of the free cells."""
+    """Return one damped Jacobi sweep of the free cells."""
     factor = np.float32(_DAMPING / (1.0 + 4.0 * stiffness))
     pulled = (_neighbours(error) * np.float32(stiffness) + residual) * factor
     return (pulled + np.float32(1.0 - _DAMPING) * error) * free
 
 
 def _neighbours(values: Float32Array) -> Float32Array:
-    """Sum of the four neighbours, without flux through the border."""
+    """Return the sum of the four neighbours, without flux through the border."""
     summed = cv2.filter2D(values, -1, np.array(_CROSS, np.float32), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(summed, np.float32)
 

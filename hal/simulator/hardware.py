@@ -51,7 +51,7 @@ class TwinPower:
         self._bench = bench
 
     def read(self) -> PowerReading:
-        """The supply according to the world's faults."""
+        """Return the supply according to the world's faults."""
         low = self._bench.faults.under_voltage
         charge = self._bench.faults.battery_share
         return PowerReading(under_voltage=low, was_under_voltage=low, throttled=low, battery_share=charge)
@@ -86,7 +86,7 @@ class TwinButton:
         return self._reported_ns
 
     def wait_for_press(self, timeout_s: float | None) -> ButtonPress | None:
-        """The next press after its release, or None after `timeout_s`.
+        """Return the next press after its release, or None after `timeout_s`.
 
         Raises
         ------

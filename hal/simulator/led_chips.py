@@ -53,7 +53,7 @@ class RegisterChip:
         self.changed()
 
     def read(self, control: int, count: int) -> list[int]:
-        """A read transfer of `count` bytes."""
+        """Return a read transfer of `count` bytes."""
         register, step = self._start(control)
         shown = []
         for _ in range(count):
@@ -66,7 +66,7 @@ class RegisterChip:
         self.registers[register] = value
 
     def shown(self, register: int) -> int:
-        """Value read from one register."""
+        """Return the value read from one register."""
         return self.registers[register]
 
     def _next(self, register: int, step: int) -> int:
@@ -81,7 +81,7 @@ class RegisterChip:
 
 
 def output_states(packed: list[int]) -> list[int]:
-    """State of each of 16 outputs from four LEDOUT registers."""
+    """Return the state of each of 16 outputs from four LEDOUT registers."""
     return [packed[channel // 4] >> 2 * (channel % 4) & 0b11 for channel in range(16)]
 
 
@@ -100,7 +100,7 @@ class LedDriverModel(RegisterChip):
         super().power_cycle()
 
     def currents_ma(self) -> list[float]:
-        """Mean current (mA) through each of the 16 LEDs: 0 where one is missing or shorted."""
+        """Return the mean current (mA) through each of the 16 LEDs: 0 where one is missing or shorted."""
         dead = self.open_channels | self.shorted_channels
         dark = self.hot or not self.enabled
         return [0.0 if n in dead or dark else current for n, current in enumerate(self.driven_ma())]
@@ -111,7 +111,7 @@ class LedDriverModel(RegisterChip):
         self.changed()
 
     def driven_ma(self) -> list[float]:
-        """Mean current (mA) that each output would carry through an LED."""
+        """Return the mean current (mA) that each output would carry through an LED."""
         raise NotImplementedError
 
 
@@ -129,7 +129,7 @@ class Pca9955bModel(LedDriverModel):
         super().__init__(0x50, power_on, range(0x46, 0x4A), last_walked=0x43)
 
     def driven_ma(self) -> list[float]:
-        """Current of the IREF steps, times the duty, 1 or 0."""
+        """Return the current of the IREF steps, times the duty, 1 or 0."""
         if self.registers[0x00] & 0x10:
             return [0.0] * 16
         states = output_states(self.registers[0x02:0x06])

@@ -40,7 +40,7 @@ class Lens:
 
     @classmethod
     def of(cls, profile: BoardProfile) -> Self:
-        """The lens of a twin's board profile."""
+        """Return the lens of a twin's board profile."""
         sensor, twin = profile.sensor, profile.twin
         if twin is None:
             raise ValueError(f"board {profile.name!r} has no [twin] table")
@@ -75,7 +75,8 @@ class Lens:
         return x * nearer, y * nearer
 
     def see(self, surface: Surface, centre_mm: tuple[float, float], turn_rad: float, top_mm: float) -> FloatArray:
-        """Height (mm) above the untouched skin of the surface point that each pixel would see, NaN outside the surface.
+        """Return the height (mm) above the untouched skin of the surface point that each pixel would see, NaN outside
+        the surface.
 
         The origin of the surface is at `centre_mm`, turned by `turn_rad`, its highest point at `top_mm`.
         """
@@ -91,7 +92,7 @@ class Lens:
         return height
 
     def skin_slopes(self, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Slopes (dz/dx, dz/dy) of the skin itself, arrays of shape (H, W), from heights on the pixel grid."""
+        """Return slopes (dz/dx, dz/dy) of the skin itself, arrays of shape (H, W), from heights on the pixel grid."""
         along_row, along_column = np.gradient(height_mm / np.float32(self.pitch_mm))
         p, q = self._undistorted(along_column, along_row)
         x, y = self.aim_mm()
@@ -102,7 +103,8 @@ class Lens:
         return p * stretch, q * stretch
 
     def transmit(self, radiance: Float32Array, height_mm: FloatArray) -> Float32Array:
-        """Radiance of a skin at `height_mm`, arrays of shape (H, W), after vignetting and point spread; float32."""
+        """Return the radiance of a skin at `height_mm`, arrays of shape (H, W), after vignetting and point spread;
+        float32."""
         radius2 = (self.column_mm**2 + self.row_mm**2) / np.float32(self.corner_mm**2)
         passed = radiance * (1.0 - np.float32(self.vignetting) * radius2)
         if self.blur is not None:
@@ -115,7 +117,7 @@ class Lens:
         return np.float32(self.distortion / self.corner_mm**2)
 
     def _undistorted(self, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Slopes relative to the aim from slopes on the pixel grid: inverse transposed Jacobian of `aim_mm`."""
+        """Return slopes relative to the aim from slopes on the pixel grid: inverse transposed Jacobian of `aim_mm`."""
         if self.distortion == 0.0:
             return p, q
         x, y, bend = self.column_mm, self.row_mm, self._bend()
@@ -165,12 +167,13 @@ class Blur:
         return FULL_WIDTH * float(self.sigma_um(np.float64(off_mm)))
 
     def sigma_um(self, off_mm: FloatArray | np.float64) -> FloatArray:
-        """Standard deviation of a point's image at these distances (mm) from the plane in focus; same shape."""
+        """Return the standard deviation of a point's image at these distances (mm) from the plane in focus; same
+        shape."""
         fixed = math.hypot(SIGMA_OF_AIRY / 2.44 * self.airy_um, SIGMA_OF_PIXEL * self.pitch_um)
         return np.asarray(np.hypot(fixed, SIGMA_OF_DISC * self.defocus * 1e3 * off_mm))
 
     def spread(self, light: Float32Array, height_mm: FloatArray) -> Float32Array:
-        """Light of shape (H, W) as blurred where the skin stands at `height_mm`, array of the same shape.
+        """Return the light of shape (H, W) as blurred where the skin stands at `height_mm`, array of the same shape.
 
         Gaussians of a few levels are computed, and each pixel takes a mean of the two next to its own variance.
         """
@@ -186,7 +189,7 @@ class Blur:
 
 
 def blur_of(lens: LensConfig, pitch_um: float) -> Blur:
-    """The blur of a lens at the f-number to which it is set."""
+    """Return the blur of a lens at the f-number to which it is set."""
     magnification = lens.pixel_um / pitch_um
     airy_um = 2.44 * WAVELENGTH_UM * lens.f_number * (1.0 + magnification) / magnification
     # The pupil, focal length over f-number, stands f (1 + 1/m) from the skin; the gel narrows the cone.
@@ -195,7 +198,8 @@ def blur_of(lens: LensConfig, pitch_um: float) -> Blur:
 
 
 def _tent(value: Float32Array, nodes: FloatArray, number: int) -> Float32Array:
-    """Weight of one node in the linear interpolation between nodes: array of the shape of `value`, 0 to 1."""
+    """Return the weight of one node in the linear interpolation between nodes: array of the shape of `value`, 0 to
+    1."""
     peak = np.zeros(nodes.size)
     peak[number] = 1.0
     return np.asarray(np.interp(value, nodes, peak), np.float32)

@@ -51,7 +51,7 @@ class MirroredBus:
 def mirrored_board_hardware(
     profile: BoardProfile, clock: Clock, seed: int | None = None, machine: Machine | None = None
 ) -> Hardware:
-    """The hardware of a profile whose driver is "twin-camera"; nothing is accessed before it is entered.
+    """Return the hardware of a profile whose driver is "twin-camera"; nothing is accessed before it is entered.
 
     Raises
     ------
@@ -87,7 +87,8 @@ def led_model(chip: str, reference_ohm: float) -> LedDriverModel:
 
 
 def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
-    """A callback that drives each light of the world with the mean current of its LEDs, from the chip's registers."""
+    """Return a callback that drives each light of the world with the mean current of its LEDs, from the chip's
+    registers."""
 
     def follow() -> None:
         currents_ma = leds.currents_ma()

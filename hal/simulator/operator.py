@@ -51,12 +51,12 @@ _GALLERY: Mapping[str, Callable[[], Specimen]] = {
 
 
 def gallery_names() -> tuple[str, ...]:
-    """Names of the specimens."""
+    """Return names of the specimens."""
     return tuple(_GALLERY)
 
 
 def specimen(name: str) -> Specimen:
-    """The specimen of that name.
+    """Return the specimen of that name.
 
     Raises
     ------
@@ -126,7 +126,7 @@ class TwinOperator:
         self._bench.schedule_button(self._pushes[-1])
 
     def _to_come(self) -> list[ButtonPress]:
-        """Own pushes of the button that have not begun."""
+        """Return own pushes of the button that have not begun."""
         now_ns = self._bench.clock.monotonic_ns()
         return [push for push in self._pushes if push.began_ns > now_ns]
 
@@ -194,7 +194,7 @@ class TwinOperator:
                 faults.camera_stalled = request.on
 
     def _ball(self, request: PressBall) -> Press:
-        """A ball pressed to `BALL_SLOPE_DEG`, less where slab or field are too small, inside the field."""
+        """Return a ball pressed to `BALL_SLOPE_DEG`, less where slab or field are too small, inside the field."""
         sensor = self._bench.profile.sensor
         size_mm = np.array([sensor.columns, sensor.rows]) * sensor.pixel_pitch_um * 1e-3
         if not request.radius_mm > 0.0:

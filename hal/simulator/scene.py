@@ -43,7 +43,7 @@ def led_places_mm(position_mm: Place, beam: BeamConfig) -> tuple[Place, ...]:
 def beam_fraction(
     point_mm: tuple[FloatArray, FloatArray, FloatArray], led_mm: Place, position_mm: Place, beam: BeamConfig
 ) -> FloatArray:
-    """Intensity of an LED towards points of the skin, relative to that of a bare one on its axis.
+    """Return the intensity of an LED towards points of the skin, relative to that of a bare one on its axis.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def beam_fraction(
 
 
 def _axis(position_mm: Place, beam: BeamConfig) -> FloatArray:
-    """Unit vector along which the light's LEDs look."""
+    """Return the unit vector along which the light's LEDs look."""
     level = np.asarray((-position_mm[0], -position_mm[1], 0.0))
     across = float(np.linalg.norm(level))
     past = level * (beam.aim_past_mm / across) if across > 0.0 else level
@@ -82,7 +82,8 @@ def _axis(position_mm: Place, beam: BeamConfig) -> FloatArray:
 
 
 def _passed(outside: FloatArray, inside: FloatArray) -> FloatArray:
-    """Fraction of unpolarised light that enters the facet, from the sines of its angles to the normal (Fresnel)."""
+    """Return the fraction of unpolarised light that enters the facet, from the sines of its angles to the normal
+    (Fresnel)."""
     cos_out, cos_in = np.sqrt(1.0 - outside**2), np.sqrt(1.0 - inside**2)
     across = (cos_out - ACRYLIC * cos_in) / (cos_out + ACRYLIC * cos_in)
     along = (ACRYLIC * cos_out - cos_in) / (ACRYLIC * cos_out + cos_in)
@@ -95,7 +96,8 @@ SPOT_PX = 2.0
 
 @lru_cache(maxsize=1)
 def pigment_pattern(shape: tuple[int, int], contrast: float, seed: int) -> Float32Array:
-    """Reflectance of the coat over its mean: float32 array of `shape` (H, W), its standard deviation `contrast`.
+    """Return the reflectance of the coat over its mean: float32 array of `shape` (H, W), its standard deviation
+    `contrast`.
 
     The same array for every press of a skin; nobody may write to it.
     """
@@ -132,7 +134,7 @@ class Scene:
 
 
 def render(profile: BoardProfile, press: Press | None) -> Scene:
-    """The scene of a press, or of the untouched skin for None."""
+    """Return the scene of a press, or of the untouched skin for None."""
     twin = profile.twin
     if twin is None:
         raise ValueError(f"board {profile.name!r} has no [twin] table")
@@ -152,7 +154,8 @@ def render(profile: BoardProfile, press: Press | None) -> Scene:
 def light_on_skin(
     profile: BoardProfile, geometry: SkinGeometry, lens: Lens, position_mm: tuple[float, float, float]
 ) -> Float32Array:
-    """Radiance of the skin under one light, float32 array of shape (H, W): a bare point, or the mean of its LEDs."""
+    """Return the radiance of the skin under one light, float32 array of shape (H, W): a bare point, or the mean of its
+    LEDs."""
     twin = profile.twin or TwinConfig()
     if profile.beam is None:
         return radiance(geometry, lens, coat(twin.skin), position_mm, twin.light_radius_mm)
@@ -166,7 +169,7 @@ def light_on_skin(
 
 
 def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:
-    """The skin on the camera's pixel grid.
+    """Return the skin on the camera's pixel grid.
 
     The object is seen in perspective before the skin is laid over it, so contact is exact; the free skin between is
     stretched by height over camera distance, about one percent, as in the image.
@@ -179,20 +182,21 @@ def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:
 
 
 def mosaic_weights(sensor: SensorConfig, passed: tuple[float, float, float]) -> Float32Array:
-    """Fraction of a light that each pixel's filter passes, float32 array of shape (H, W), from `passed` by R, G, B."""
+    """Return the fraction of a light that each pixel's filter passes, float32 array of shape (H, W), from `passed` by
+    R, G, B."""
     cell = np.array([passed["RGB".index(letter)] for letter in native_order(sensor)], np.float32).reshape(2, 2)
     return np.tile(cell, (sensor.rows // 2, sensor.columns // 2))
 
 
 def native_order(sensor: SensorConfig) -> BayerOrder:
-    """The order that the simulated sensor has, and grants to a profile that leaves it to the camera."""
+    """Return the order that the simulated sensor has, and grants to a profile that leaves it to the camera."""
     return "RGGB" if sensor.bayer_order == AS_GRANTED else sensor.bayer_order
 
 
 def expose(
     charge_e: Float32Array, sensor: SensorConfig, analogue_gain: float, random: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """Counts (dn), uint16 array of shape (H, W), for the expected charge (e⁻) of each pixel.
+    """Return counts (dn), uint16 array of shape (H, W), for the expected charge (e⁻) of each pixel.
 
     Shot noise is approximated as normal: accurate above ten electrons, and below that read noise dominates.
     """
@@ -230,7 +234,7 @@ _COATS: Final[dict[str, Coat]] = {
 
 
 def coat(name: str) -> Coat:
-    """The coat of that name in a board profile."""
+    """Return the coat of that name in a board profile."""
     return _COATS[name]
 
 
@@ -247,7 +251,7 @@ class SkinGeometry:
 
 
 def skin_geometry(lens: Lens, height_mm: FloatArray) -> SkinGeometry:
-    """Points and normals of a skin from its height on the pixel grid, array of shape (H, W), mm."""
+    """Return points and normals of a skin from its height on the pixel grid, array of shape (H, W), mm."""
     x, y = lens.points_mm(height_mm)
     slope_x, slope_y = lens.skin_slopes(height_mm)
     up = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
@@ -258,7 +262,7 @@ def skin_geometry(lens: Lens, height_mm: FloatArray) -> SkinGeometry:
 def radiance(
     skin: SkinGeometry, lens: Lens, skin_coat: Coat, light_mm: tuple[float, float, float], light_radius_mm: float
 ) -> Float32Array:
-    """Radiance of the skin towards the camera under one light, float32 array of shape (H, W)."""
+    """Return the radiance of the skin towards the camera under one light, float32 array of shape (H, W)."""
     away = [np.float32(at) - here for at, here in zip(light_mm, (skin.x_mm, skin.y_mm, skin.z_mm), strict=True)]
     squared = away[0] ** 2 + away[1] ** 2 + away[2] ** 2
     inverse = 1.0 / np.sqrt(squared)
@@ -275,7 +279,8 @@ def radiance(
 def _flakes(
     skin: SkinGeometry, lens: Lens, skin_coat: Coat, to_light: list[FloatArray], cosine: FloatArray
 ) -> FloatArray:
-    """Lobe of the flakes, array of shape (H, W): 1 where the normal halves the angle between light and camera."""
+    """Return the lobe of the flakes, array of shape (H, W): 1 where the normal halves the angle between light and
+    camera."""
     to_camera = (-skin.x_mm, -skin.y_mm, np.float32(lens.distance_mm) - skin.z_mm)
     inverse = 1.0 / np.sqrt(sum(v**2 for v in to_camera))
     half = [a + v * inverse for a, v in zip(to_light, to_camera, strict=True)]
@@ -295,7 +300,8 @@ _GRID_CELLS: Final = 100_000
 def visible_fraction(
     height_mm: FloatArray, pitch_mm: float, light_mm: tuple[float, float, float], light_radius_mm: float
 ) -> Float32Array:
-    """Fraction of the light's disc visible from each point, float32 array of the shape of `height_mm`, 0 to 1."""
+    """Return the fraction of the light's disc visible from each point, float32 array of the shape of `height_mm`, 0 to
+    1."""
     rows, columns = height_mm.shape
     reduction = max(1, round((rows * columns / _GRID_CELLS) ** 0.5))
     size = (max(columns // reduction, 2), max(rows // reduction, 2))

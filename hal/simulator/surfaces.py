@@ -17,7 +17,7 @@ class Surface(Protocol):
     """A surface in closed form."""
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm) at each (x, y), array of their shape: at most 0, NaN outside the surface."""
+        """Return the height (mm) at each (x, y), array of their shape: at most 0, NaN outside the surface."""
         ...
 
 
@@ -28,7 +28,7 @@ class Sphere:
     radius_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm), NaN beyond the equator."""
+        """Return the height (mm), NaN beyond the equator."""
         inside = self.radius_mm**2 - x_mm**2 - y_mm**2
         return np.where(inside >= 0.0, np.sqrt(np.maximum(inside, 0.0)) - self.radius_mm, np.nan)
 
@@ -42,7 +42,7 @@ class Leaning:
     reach_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         lean = self.slope_x * x_mm - abs(self.slope_x) * self.reach_mm
         return np.asarray(self.surface.height_mm(x_mm, y_mm) + np.minimum(lean, 0.0))
 
@@ -56,7 +56,7 @@ class SphereGrid:
     reach: int
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm), NaN between the balls."""
+        """Return the height (mm), NaN between the balls."""
         across = x_mm - self.spacing_mm * np.clip(np.round(x_mm / self.spacing_mm), -self.reach, self.reach)
         along = y_mm - self.spacing_mm * np.clip(np.round(y_mm / self.spacing_mm), -self.reach, self.reach)
         return Sphere(self.radius_mm).height_mm(across, along)
@@ -75,7 +75,7 @@ class Pebbles:
     reach: int
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm), NaN between the balls."""
+        """Return the height (mm), NaN between the balls."""
         count = 2 * self.reach + 1
         free = 0.5 - self.radius_mm / self.spacing_mm
         random = np.random.default_rng(1)
@@ -100,7 +100,7 @@ class Block:
     edge_radius_mm: float = 0.6
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm) of the plain block, NaN beyond its sides."""
+        """Return the height (mm) of the plain block, NaN beyond its sides."""
         beyond = np.hypot(
             np.maximum(np.abs(x_mm) - self.half_width_mm, 0.0), np.maximum(np.abs(y_mm) - self.half_height_mm, 0.0)
         )
@@ -116,7 +116,7 @@ class Plane:
     slope_y: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         top = abs(self.slope_x) * self.body.half_width_mm + abs(self.slope_y) * self.body.half_height_mm
         tilt = np.minimum(self.slope_x * x_mm + self.slope_y * y_mm - top, 0.0)
         return self.body.height_mm(x_mm, y_mm) + tilt
@@ -131,7 +131,7 @@ class Sinusoid:
     amplitude_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         wave: FloatArray = self.amplitude_mm * (np.cos(2.0 * np.pi / self.period_mm * x_mm) - 1.0)
         return self.body.height_mm(x_mm, y_mm) + wave
 
@@ -146,7 +146,7 @@ class Groove:
     flank_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         wall = smooth_step((np.abs(x_mm) - self.width_mm / 2.0) / self.flank_mm)
         return self.body.height_mm(x_mm, y_mm) + self.depth_mm * (wall - 1.0)
 
@@ -160,7 +160,7 @@ class Step:
     flank_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         wall = smooth_step(x_mm / self.flank_mm + 0.5)
         return self.body.height_mm(x_mm, y_mm) + self.rise_mm * (wall - 1.0)
 
@@ -175,7 +175,7 @@ class Coin:
     beads: int = 40
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm), NaN beyond the edge."""
+        """Return the height (mm), NaN beyond the edge."""
         radius, angle = np.hypot(x_mm, y_mm), np.arctan2(y_mm, x_mm)
         edge = Sphere(self.relief_mm * 2.0).height_mm(np.maximum(radius - self.radius_mm, 0.0), np.zeros_like(radius))
         rim = smooth_step((radius - 0.92 * self.radius_mm) / self.flank_mm)
@@ -200,7 +200,7 @@ class Texture:
     finest_mm: float
 
     def height_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Height (mm)."""
+        """Return the height (mm)."""
         position = np.clip(x_mm / (2.0 * self.body.half_width_mm) + 0.5, 0.0, 1.0)
         rate = np.log(self.finest_mm / self.coarsest_mm)
         # The phase is the integral of 2π / period, whose logarithm falls linearly across the block.

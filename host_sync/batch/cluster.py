@@ -110,7 +110,7 @@ def outcomes_on_cluster(
     *,
     no_worker_s: float = NO_WORKER_S,
 ) -> Iterator[tuple[Task, Outcome | Unfinished]]:
-    """Every task with its outcome, once, in the order in which they are done.
+    """Yield every task with its outcome, once, in the order in which they are done.
 
     tasks : picklable; the next one is asked for when a worker is free
     setup : picklable and hashable; called once in each worker, returns what turns a task into an outcome there
@@ -158,7 +158,7 @@ def outcomes_on_cluster(
 
 
 def computing_versions() -> tuple[tuple[str, str], ...]:
-    """Versions of the packages that compute, here."""
+    """Return versions of the packages that compute, here."""
     return tuple((name, version(name)) for name in COMPUTING)
 
 
@@ -179,7 +179,7 @@ def _check_workers(client: Client, job: _Job[Any, Any]) -> None:
 
 
 def _unfit(job: _Job[Any, Any]) -> str | None:
-    """Why this process cannot do the job, to follow its address; None if it can."""
+    """Return why this process cannot do the job, to follow its address; None if it can."""
     for name, wanted in job.versions:
         if (found := version(name)) != wanted:
             return f"has {name} {found}, not {wanted}: install the same versions everywhere"

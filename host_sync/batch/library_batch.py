@@ -59,7 +59,7 @@ CGROUPS: Final = Path("/sys/fs/cgroup")
 
 
 def default_workers(shapes: Sequence[tuple[int, int]], cores: int, memory: int | None) -> int:
-    """Processes for scans of these shapes, at least 1.
+    """Return processes for scans of these shapes, at least 1.
 
     As many as there are cores, at most one for every `SCANS_A_WORKER` scans, and as many as fit into the memory with
     the process that starts them, which makes calibrations of the same frames meanwhile.
@@ -74,7 +74,7 @@ def default_workers(shapes: Sequence[tuple[int, int]], cores: int, memory: int |
 
 
 def worker_bytes(shape: tuple[int, int]) -> int:
-    """Peak memory of a process that reconstructs frames of (H, W) pixels."""
+    """Return the peak memory of a process that reconstructs frames of (H, W) pixels."""
     return BYTES_A_WORKER + BYTES_A_PIXEL * shape[0] * shape[1]
 
 
@@ -86,8 +86,8 @@ def usable_cores() -> int:
 
 
 def usable_memory(proc: Path = PROC, cgroups: Path = CGROUPS) -> int | None:
-    """Bytes that this process and its children can take: what is available on the computer, less where a service or
-    container is confined. None where the system does not say.
+    """Return bytes that this process and its children can take: what is available on the computer, less where a service
+    or container is confined. None where the system does not say.
     """
     bounds = [*_available(proc), *_left_in_groups(proc, cgroups)]
     return max(min(bounds), 0) if bounds else None
@@ -116,7 +116,7 @@ def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:
 
 
 def _figures(path: Path) -> dict[str, int]:
-    """Names and numbers of a file with one of each in a line."""
+    """Return names and numbers of a file with one of each in a line."""
     try:
         lines = [line.split() for line in path.read_text().splitlines()]
     except OSError:
@@ -125,7 +125,7 @@ def _figures(path: Path) -> dict[str, int]:
 
 
 def _number(path: Path) -> int | None:
-    """The number in a file; None where there is none, as in one that says "max"."""
+    """Return the number in a file; None where there is none, as in one that says "max"."""
     try:
         text = path.read_text().strip()
     except OSError:
@@ -161,7 +161,7 @@ def remove_abandoned(place: Path) -> None:
 
 
 def _held_folder(place: Path, stack: ExitStack) -> Path:
-    """A new folder whose lock is held, and which is removed, with the stack."""
+    """Return a new folder whose lock is held, and which is removed, with the stack."""
     while True:
         with ExitStack() as attempt:
             folder = Path(mkdtemp(prefix=_prefix(), dir=place))

@@ -143,7 +143,7 @@ class LibraryWatch:
             yield outcome
 
     def _outcomes(self, names: list[str]) -> Iterator[ScanOutcome]:
-        """Results of these scans: those that an earlier run left without a measurement, then new ones."""
+        """Yield results of these scans: those that an earlier run left without a measurement, then new ones."""
         new: list[ScanBundle] = []
         for name in names:
             results = self._results(name)
@@ -160,7 +160,7 @@ class LibraryWatch:
             yield from reconstruct_all(new, ScanWork(self._library.root), self._job, self._workers)
 
     def _results(self, name: str) -> Path | None:
-        """The newest results of this version that a scan has; None where it has none."""
+        """Return the newest results of this version that a scan has; None where it has none."""
         return self._library.newest_result_of(self._library.root / "scans" / name, version("retrograph"))
 
     def _place(self, name: str) -> Path:
@@ -199,7 +199,7 @@ class LibraryWatch:
 
 
 def _stamp(results: Path | None) -> _Stamp:
-    """Changes when the results do; a record that cannot be read now is written at zero."""
+    """Return changes when the results do; a record that cannot be read now is written at zero."""
     if results is None:
         return None
     try:

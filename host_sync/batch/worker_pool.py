@@ -92,7 +92,7 @@ def outcomes_of(
     *,
     first_alone: bool = False,
 ) -> Iterator[tuple[Task, Outcome | Lost]]:
-    """Every task with its outcome, once, in the order in which they are done.
+    """Yield every task with its outcome, once, in the order in which they are done.
 
     tasks : picklable; the next one is asked for when a process is free
     setup : picklable; called once in each process, returns what turns a task into an outcome there

@@ -1,4 +1,4 @@
-"""What a calibration is worth: scale, coverage, checks, and what a person should know."""
+"""Assessment of a calibration: scale, coverage, checks and notes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NOTED_STRAY: Final = 0.005
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assessment:
-    """What a calibration is worth.
+    """Scale, coverage and checks of a calibration.
 
     pitch : what ball grids measured, None when no press shows one of known spacing
     notes : what a person should know, one sentence each
@@ -55,7 +55,7 @@ class Assessment:
 
     @property
     def passed(self) -> bool:
-        """Whether every check passed."""
+        """True if every check passed."""
         return all(check.passed for check in self.checks)
 
 
@@ -67,7 +67,7 @@ def assess(
     pitch: PixelPitch | None,
     pitch_um: float,
 ) -> Assessment:
-    """What a calibration is worth.
+    """Return what a calibration is worth.
 
     used : the presses after the fit
     training : samples of their balls
@@ -96,7 +96,8 @@ def assess(
 
 
 def diameter_note(widest: float) -> list[str]:
-    """The question whether a diameter was given as the radius, where no contact is wider than this fraction of it."""
+    """Return the question whether a diameter was given as the radius, where no contact is wider than this fraction of
+    it."""
     if widest > DIAMETER_CONTACT:
         return []
     return [
@@ -106,7 +107,7 @@ def diameter_note(widest: float) -> list[str]:
 
 
 def _shape_note(shape: PixelShape | None, pitch_um: float) -> tuple[str, ...]:
-    words = shape.contradiction(pitch_um) if shape else ""
+    words = shape.disagreement(pitch_um) if shape else ""
     return (words,) if words else ()
 
 
@@ -151,4 +152,4 @@ def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: Pixe
     ]
     notes += [f"{press.label} {press.error}: it is not used" for press in used if press.error]
     notes += diameter_note(widest_contact(used))
-    return tuple(notes + ([pitch.contradiction] if pitch and pitch.contradiction else []))
+    return tuple(notes + ([pitch.disagreement] if pitch and pitch.disagreement else []))

@@ -28,7 +28,8 @@ says nothing."""
 def fit_to_best_balls(
     presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
 ) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
-    """The inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones prefer.
+    """Return the inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones
+    prefer.
 
     Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
     to their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
@@ -63,7 +64,8 @@ def fit_to_best_balls(
 def fit_to_cores(
     cut: Sequence[UsedPress], whole: BegunFit, light: IlluminationMap | None
 ) -> tuple[BegunFit, Sequence[UsedPress]] | None:
-    """The inverse map of presses whose contacts were cut to their core; None where held-out balls prefer the whole.
+    """Return the inverse map of presses whose contacts were cut to their core; None where held-out balls prefer the
+    whole.
 
     The error of the core alone decides, and not one that is smaller because balls were left aside.
     """
@@ -79,18 +81,18 @@ def _count(presses: Sequence[UsedPress]) -> int:
 
 
 def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
-    """Median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
+    """Return the median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
     common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
 def fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
-    """The inverse map of the presses' balls, begun.
+    """Return the inverse map of the presses' balls, begun.
 
     light : of untouched skin, None where no reference shows it
     like : an earlier fit, whose choices are kept
     """
-    samples = gather_samples([(press.intensity, press.balls) for press in presses], to_teach=True)
+    samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
     balls = [ball for press in presses for ball in press.balls]
     alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
     shape = presses[0].intensity.shape

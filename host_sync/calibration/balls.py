@@ -22,7 +22,7 @@ SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
 
 SAMPLED_STEP: Final = 16
-"""Every so many-th pixel tells most frames apart."""
+"""Step of the pixels that are compared to tell frames apart."""
 
 MAX_WIDENING: Final = 1.06
 """Labels that draw contacts wider than the finder does widen found ones by this factor at most."""
@@ -133,8 +133,8 @@ def check_distinct(presses: Sequence[PressFrame]) -> None:
 
 
 def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
-    """A press with its balls as given, or found when none are given; what cannot be used for training is listed with
-    the reason.
+    """Return a press with its balls as given, or found when none are given; what cannot be used for training is listed
+    with the reason.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
 
 
 def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPress:
-    """The press with the balls of a search as its own."""
+    """Return the press with the balls of a search as its own."""
     fault = ""
     if not seen.found:
         kinds = {re.sub(r"[0-9.]+", "#", ball.reason): ball.reason for ball in reversed(seen.rejected)}
@@ -165,7 +165,7 @@ def with_found(press: UsedPress, seen: BallSearch, radius_px: float) -> UsedPres
 
 
 def drop_clipped(press: UsedPress) -> UsedPress:
-    """The press without balls whose contacts are saturated."""
+    """Return the press without balls whose contacts are saturated."""
     shares = [clipped_share(press.intensity, ball) for ball in press.balls]
     worst = max(shares, default=0.0)
     reason = f"{worst:.0%} of its contact is saturated in a channel, at most {MAX_CLIPPED:.0%} may be"
@@ -173,13 +173,13 @@ def drop_clipped(press: UsedPress) -> UsedPress:
 
 
 def clipped_share(image: NormalizedImage, ball: Ball) -> float:
-    """Share of the pixels inside a ball's contact that are saturated in a channel."""
+    """Return the share of the pixels inside a ball's contact that are saturated in a channel."""
     row, column = pixels_inside(ball, image.shape)
     return float(image.clipped[row, column].mean()) if row.size else 0.0
 
 
 def without_balls(press: UsedPress, out: Sequence[bool] | MaskArray, reason: str) -> UsedPress:
-    """The press with the marked balls among the rejected."""
+    """Return the press with the marked balls among the rejected."""
     if not np.any(out):
         return press
     balls = tuple(ball for ball, gone in zip(press.balls, out, strict=True) if not gone)
@@ -190,7 +190,8 @@ def without_balls(press: UsedPress, out: Sequence[bool] | MaskArray, reason: str
 
 
 def relocate_labels(press: UsedPress) -> UsedPress:
-    """The press with each labelled ball moved to the one that is seen there, its contact not larger; others stay.
+    """Return the press with each labelled ball moved to the one that is seen there, its contact not larger; others
+    stay.
 
     A label at which nothing is seen is used as it was set: whether it is right is for held-out balls to say.
     """
@@ -199,7 +200,7 @@ def relocate_labels(press: UsedPress) -> UsedPress:
 
 
 def cut_to_core(press: UsedPress) -> UsedPress:
-    """The press with only the core of each ball's contact."""
+    """Return the press with only the core of each ball's contact."""
     cut = (replace(ball, contact_radius_px=CORE_SHARE * ball.contact_radius_px) for ball in press.balls)
     return replace(press, balls=tuple(cut))
 
@@ -212,7 +213,7 @@ def add_detections(press: UsedPress) -> UsedPress:
 
 
 def _as_wide_as_labels_say(press: UsedPress) -> tuple[Ball, ...]:
-    """The balls that are seen, with wider contacts where labels say that the finder cuts them early."""
+    """Return the balls that are seen, with wider contacts where labels say that the finder cuts them early."""
     found = press.seen.found if press.seen else ()
     pairs = [(label, ball) for label in press.balls for ball in found if _is_one_of(ball, (label,))]
     if not pairs:
@@ -240,7 +241,7 @@ def _nearest(label: Ball, found: Sequence[Ball]) -> Ball:
 
 
 def apply_fit(located: Sequence[UsedPress], inverse: InverseFit) -> tuple[UsedPress, ...]:
-    """The presses with refined centres; balls that the fit dropped go to the rejected."""
+    """Return the presses with refined centres; balls that the fit dropped go to the rejected."""
     used = []
     first = 0
     for press in located:

@@ -61,11 +61,11 @@ class Denoising:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything that reconstruction needs, and what the report tells.
+    """Everything that reconstruction needs, and that the report shows.
 
     calibration_id : digest of the models and the reference
     flat_field : float32 array of shape (H, W, 3), what frames are divided by
-    has_reference : False when the divisor is a stand-in fitted to the frames
+    has_reference : False when the flat field is a stand-in fitted to the frames
     pitch_um : distance of neighbouring pixels on the skin, µm; measured where a ball grid's spacing is known
     centres : where the balls' centres came from before they were refined
     inverse : the position-aware inverse map and its held-out errors
@@ -158,16 +158,16 @@ def calibrate(
     others: Sequence[LinearFrame] = (),
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
-    lamps_mm: Sequence[Position] = (),
+    lights_mm: Sequence[Position] = (),
     pupil_height_mm: float | None = None,
 ) -> Calibration:
-    """The calibration of one gel and set of lights.
+    """Return the calibration of one gel and set of lights.
 
     reference : frame of the untouched skin; None fits a stand-in to the presses and `others`
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
     tell : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
-    lamps_mm : places of the sources by channel, see `Position`; empty where it is not known
+    lights_mm : places of the sources by channel, see `Position`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, see `Viewpoint`; None where it is not known
 
     Raises
@@ -178,7 +178,7 @@ def calibrate(
         Frames of different sizes, channel orders, lights or gels.
     """
     prepared = PreparedPresses.of(presses, reference, pitch_um, others, tell)
-    models = SlopeModels.of(prepared, lamps_mm, pupil_height_mm, tell)
+    models = SlopeModels.of(prepared, lights_mm, pupil_height_mm, tell)
     assessment = _assessment(prepared, models)
     held_out_deg, paper_model = _paper(models, tell, wanted=paper)
     tell("measuring the slope error")

@@ -1,4 +1,4 @@
-"""Whether a calibration passes: every number that decides, beside its limit."""
+"""Verdict on a calibration: every number that decides, beside its limit."""
 
 from __future__ import annotations
 
@@ -40,5 +40,5 @@ def checks(
 
 
 def widest_contact(presses: Sequence[UsedPress]) -> float:
-    """The widest contact of any ball over its stated radius."""
+    """Return the widest contact of any ball over its stated radius."""
     return max((ball.contact_radius_px / ball.radius_px for press in presses for ball in press.balls), default=0.0)

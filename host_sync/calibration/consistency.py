@@ -1,4 +1,4 @@
-"""Whether frames were taken under one set of lights with one gel: their untouched skin must look alike.
+"""Check that frames were taken under one set of lights with one gel: their untouched skin must look alike.
 
 Most of every frame shows untouched skin, so that the median over the frame of the difference of two frames is that of
 the skin. Lights of real sensors drift; what drifts has neighbours on the way, what was changed has none.
@@ -131,7 +131,7 @@ def check_agreement(
 
 
 def check_consistency(blocks: Sequence[Float64Array], reference: bool) -> Float64Array:
-    """Shares by which untouched skin differs between frames, worst channel; the reference, if any, comes last.
+    """Return shares by which untouched skin differs between frames, worst channel; the reference, if any, comes last.
 
     blocks : log intensity of each frame, float64 arrays of shape (h, w, 3)
     """
@@ -144,7 +144,8 @@ def check_consistency(blocks: Sequence[Float64Array], reference: bool) -> Float6
 
 
 def _steps_between_nearest(apart: Float64Array) -> list[float]:
-    """The steps, shortest first, by which all frames are reached from any of them when each is to the nearest."""
+    """Return the steps, shortest first, by which all frames are reached from any of them when each is to the
+    nearest."""
     nearest, steps = apart[0].copy(), []
     reached = np.zeros(len(apart), np.bool_)
     reached[0] = True
@@ -157,7 +158,7 @@ def _steps_between_nearest(apart: Float64Array) -> list[float]:
 
 
 def _blocks(image: NormalizedImage) -> Float64Array:
-    """Log intensity of a frame reduced by area, float64 array of shape (h, w, 3)."""
+    """Return the log intensity of a frame reduced by area, float64 array of shape (h, w, 3)."""
     return _log_blocks(np.nan_to_num(image.values))
 
 

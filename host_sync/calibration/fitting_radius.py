@@ -29,7 +29,7 @@ class FittingRadius:
     looked_at: int
 
     def sentence(self, pitch_um: float, stated_px: float) -> str:
-        """The sentence that compares it with the stated radius."""
+        """Return the sentence that compares it with the stated radius."""
         return (
             f"balls of about {self.radius_px:.0f} px ({self.radius_px * pitch_um / 1e3:.2g} mm at {pitch_um:g} µm a "
             f"pixel) show in {self.presses} of {self.looked_at} presses, and {stated_px:.0f} px "
@@ -38,7 +38,7 @@ class FittingRadius:
 
 
 def fitting_radius(images: Sequence[NormalizedImage]) -> FittingRadius | None:
-    """The radius of the balls that show in frames, from their contacts; None where none shows.
+    """Return the radius of the balls that show in frames, from their contacts; None where none shows.
 
     Contacts of one size fit balls of several radii: of those that show as often, the middle one is returned.
     """

@@ -23,9 +23,9 @@ class CalibrationFrames:
     others : frames that help to stand in for a missing reference
     light_names : of the lights, where they are said
     paper : whether the paper's model is fitted in any case
-    lamps_mm : where the lamp of each channel stands, as of `Position`; empty where it is not known
+    lights_mm : place of the light of each channel, as of `Position`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, as of `Viewpoint`; None where it is not known
-    states_pixel_shape : the shape of pixels was stated, so that a contradiction is a note only
+    states_pixel_shape : the shape of pixels was stated, so that a disagreement is a note only
     states_diameters : balls were given by their diameters, so that no radius can be one
     pitch_tolerance : fraction by which the pixel pitch may be off; None where that is not known
     marks : printed on the skin, and taken out of the frames; None where there are none
@@ -37,7 +37,7 @@ class CalibrationFrames:
     others: tuple[LinearFrame, ...] = ()
     light_names: tuple[str, ...] = ()
     paper: bool = False
-    lamps_mm: tuple[Position, ...] = ()
+    lights_mm: tuple[Position, ...] = ()
     pupil_height_mm: float | None = None
     states_pixel_shape: bool = False
     states_diameters: bool = False
@@ -45,7 +45,8 @@ class CalibrationFrames:
     marks: MarkPattern | None = None
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
-        """The same without one ball; the other balls are those of a calibration that was made from all of them."""
+        """Return the same without one ball; the other balls are those of a calibration that was made from all of
+        them."""
         presses = []
         for number, (frame, used) in enumerate(zip(self.presses, calibration.presses, strict=True)):
             balls = tuple(
@@ -59,7 +60,7 @@ class CalibrationFrames:
 
 
 def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
-    """The calibration that the frames carry; errors as for `calibrate`."""
+    """Return the calibration that the frames carry; errors as for `calibrate`."""
     calibration = calibrate_lights(
         frames.presses,
         frames.reference,
@@ -67,7 +68,7 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         others=frames.others,
         light_names=frames.light_names,
         paper=frames.paper,
-        lamps_mm=frames.lamps_mm,
+        lights_mm=frames.lights_mm,
         pupil_height_mm=frames.pupil_height_mm,
         tell=tell,
     )
@@ -78,7 +79,7 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         left = tuple(check for check in assessment.checks if check.name != PIXEL_SHAPE)
         shape, notes = assessment.pixel_shape, assessment.notes
         if shape is not None:
-            asked = shape.contradiction(calibration.pitch_um)
+            asked = shape.disagreement(calibration.pitch_um)
             notes = tuple(shape.against_stated if note == asked else note for note in notes)
         assessment = replace(assessment, checks=left, notes=notes)
     if frames.states_diameters:

@@ -1,4 +1,4 @@
-"""What the reference missed of untouched skin, from the free skin of all presses.
+"""Correction of the reference from the free skin of all presses.
 
 One frame of untouched skin has noise of its own, whose long waves add up to height: the same in every scan, as much as
 0.6 µm on a quiet sensor. Far from their balls presses show untouched skin again. What the map reads there, as far as
@@ -48,7 +48,7 @@ Pressed = Sequence[tuple[NormalizedImage, Sequence[Ball]]]
 
 
 def with_free_skin(inverse_map: InverseMap, pressed: Pressed) -> InverseMap:
-    """The map less what it reads on the free skin of presses, in `noise_bias`.
+    """Return the map less what it reads on the free skin of presses, in `noise_bias`.
 
     pressed : intensity and every ball of each press
     """
@@ -59,7 +59,8 @@ def with_free_skin(inverse_map: InverseMap, pressed: Pressed) -> InverseMap:
 
 
 def free_skin_slopes(inverse_map: InverseMap, pressed: Pressed, shape: tuple[int, int]) -> Float32Array:
-    """Slopes that presses agree on where their skin is free, at nodes even over the field: float32 array (h, w, 2).
+    """Return slopes that presses agree on where their skin is free, at nodes even over the field: float32 array (h, w,
+    2).
 
     Each node's median over presses is reduced by the share of its square that is noise; 0 where fewer than
     `MIN_PRESSES` show free skin.
@@ -69,14 +70,14 @@ def free_skin_slopes(inverse_map: InverseMap, pressed: Pressed, shape: tuple[int
         return np.zeros((*shape, 2), np.float32)
     stack = np.stack(parts)
     count = np.isfinite(stack[..., 0]).sum(axis=0)
-    told = count >= MIN_PRESSES
+    shown = count >= MIN_PRESSES
     median, spread = np.zeros((*shape, 2)), np.ones((*shape, 2))
-    median[told] = np.nanmedian(stack[:, told], axis=0)
-    spread[told] = np.nanvar(stack[:, told], axis=0)
+    median[shown] = np.nanmedian(stack[:, shown], axis=0)
+    spread[shown] = np.nanvar(stack[:, shown], axis=0)
     noise = MEDIAN_VARIANCE * spread.sum(axis=-1) / np.maximum(count - 1, 1)
     square = (median**2).sum(axis=-1)
-    believed = np.where(told, square / np.maximum(square + noise, 1e-30), 0.0)
-    if not told.any() or np.sqrt(square[told].mean()) > MAX_MISSED:
+    believed = np.where(shown, square / np.maximum(square + noise, 1e-30), 0.0)
+    if not shown.any() or np.sqrt(square[shown].mean()) > MAX_MISSED:
         return np.zeros((*shape, 2), np.float32)
     return np.asarray(median * believed[..., None], np.float32)
 
@@ -84,7 +85,8 @@ def free_skin_slopes(inverse_map: InverseMap, pressed: Pressed, shape: tuple[int
 def _at_nodes(
     inverse_map: InverseMap, image: NormalizedImage, balls: Sequence[Ball], shape: tuple[int, int]
 ) -> Float64Array:
-    """Mean slopes of a press's free skin around each node, float64 array (h, w, 2), NaN where there is too little."""
+    """Return the mean slopes of a press's free skin around each node, float64 array (h, w, 2), NaN where there is too
+    little."""
     rows, columns = image.shape
     step = max(int(np.ceil(np.sqrt(rows * columns / MAX_CELLS))), 1)
     read = cell_slopes(image, inverse_map, step)
@@ -104,7 +106,7 @@ def _at_nodes(
 
 
 def _far(balls: Sequence[Ball], across: NDArray[np.floating], down: NDArray[np.floating]) -> MaskArray:
-    """Where no ball has touched: bool array (h, w)."""
+    """Return where no ball has touched: bool array (h, w)."""
     far = np.ones((len(down), len(across)), np.bool_)
     for ball in balls:
         distance = np.hypot(across[None] - ball.column, down[:, None] - ball.row)

@@ -22,14 +22,14 @@ DEEPEST_SHARE = 0.98
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridDetection:
-    """What a grid press shows: its balls less those off the lattice, and the lattice, None when they form none."""
+    """Balls of a grid press less those off the lattice, and the lattice, None when they form none."""
 
     search: BallSearch
     lattice: BallLattice | None
 
 
 def detect_grid(image: NormalizedImage, seen: BallSearch, radius_px: float) -> GridDetection:
-    """The balls of a grid press; where the lattice expects one that was missed, it is looked for once more."""
+    """Return the balls of a grid press; where the lattice expects one that was missed, it is looked for once more."""
     lattice = find_lattice(_centres(seen))
     if lattice is None:
         return GridDetection(seen, None)
@@ -46,7 +46,7 @@ def detect_grid(image: NormalizedImage, seen: BallSearch, radius_px: float) -> G
 def measure_pitch(
     presses: Sequence[PressFrame], located: Sequence[UsedPress], stated_um: float
 ) -> tuple[list[UsedPress], PixelPitch | None]:
-    """The presses, their balls held to the lattice and to the measured scale, and the pixel pitch.
+    """Return the presses, their balls held to the lattice and to the measured scale, and the pixel pitch.
 
     The pitch is None where no press shows a grid of known spacing.
 
@@ -74,7 +74,7 @@ def measure_pitch(
 
 
 def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridDetection:
-    """The search with the balls off the lattice among the rejected, the lattice for the others alone.
+    """Return the search with the balls off the lattice among the rejected, the lattice for the others alone.
 
     What the finder itself rejected off the lattice is no ball at all and is forgotten.
     """
@@ -93,7 +93,7 @@ def _on_lattice(seen: BallSearch, lattice: BallLattice) -> GridDetection:
 
 
 def _stray(lattice: BallLattice, ball: RejectedBall) -> float:
-    """Distance of a rejected ball from the nearest place of the lattice, in steps."""
+    """Return the distance of a rejected ball from the nearest place of the lattice, in steps."""
     place = project(np.asarray(np.linalg.inv(lattice.to_pixels), np.float64), np.array([[ball.column, ball.row]]))
     return float(np.hypot(*(place - np.round(place))[0]))
 
@@ -101,7 +101,8 @@ def _stray(lattice: BallLattice, ball: RejectedBall) -> float:
 def _unseen(
     lattice: BallLattice, seen: BallSearch, shape: tuple[int, int], radius_px: float
 ) -> list[tuple[float, float]]:
-    """Places (column, row) of the lattice that the frame could show and where nothing, good or rejected, is seen."""
+    """Return places (column, row) of the lattice that the frame could show and where nothing, good or rejected, is
+    seen."""
     missing = lattice.missing()
     if not len(missing):
         return []
@@ -118,7 +119,7 @@ def _centres(search: BallSearch) -> Float64Array:
 
 
 def _rescaled(press: UsedPress, factor: float) -> UsedPress:
-    """The press with balls whose radius in pixels is `factor` times as large."""
+    """Return the press with balls whose radius in pixels is `factor` times as large."""
     seen = press.seen and replace(press.seen, found=tuple(_with_radius(ball, factor) for ball in press.seen.found))
     return replace(press, balls=tuple(_with_radius(ball, factor) for ball in press.balls), seen=seen)
 

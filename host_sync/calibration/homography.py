@@ -8,14 +8,14 @@ from device.surface.fields import Float64Array
 
 
 def project(homography: Float64Array, points: Float64Array) -> Float64Array:
-    """Points of shape (K, 2) mapped by a homography of shape (3, 3)."""
+    """Return points of shape (K, 2) mapped by a homography of shape (3, 3)."""
     mapped = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ homography.T
     depth = np.where(mapped[:, 2:] == 0.0, np.finfo(np.float64).tiny, mapped[:, 2:])
     return np.asarray(mapped[:, :2] / depth)
 
 
 def fit_homography(places: Float64Array, points: Float64Array) -> Float64Array:
-    """Homography of shape (3, 3) from places to points, at least four of each; direct linear fit."""
+    """Return the homography of shape (3, 3) from places to points, at least four of each; direct linear fit."""
     (a, from_places), (b, from_points) = _normalised(places), _normalised(points)
     zero, one = np.zeros((len(a), 3)), np.concatenate([a, np.ones((len(a), 1))], axis=1)
     rows = np.concatenate(
@@ -27,7 +27,7 @@ def fit_homography(places: Float64Array, points: Float64Array) -> Float64Array:
 
 
 def _normalised(points: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Points about their middle in units of their spread, and the matrix that makes them so."""
+    """Return points about their middle in units of their spread, and the matrix that makes them so."""
     middle = points.mean(axis=0)
     scale = 1.0 / max(float(np.abs(points - middle).mean()), 1e-9)
     matrix = np.array([[scale, 0.0, -scale * middle[0]], [0.0, scale, -scale * middle[1]], [0.0, 0.0, 1.0]])

@@ -1,4 +1,4 @@
-"""Which place of a square lattice each ball of a grid takes, whatever is missing, false, turned or in perspective.
+"""Place on a square lattice of each ball of a grid, whatever is missing, false, turned or in perspective.
 
 A lattice is grown from one ball and two of its neighbours: where a neighbour's neighbour is expected, the nearest ball
 is taken and corrects the expectation, so that perspective and distortion are followed. A homography then reaches over
@@ -72,13 +72,14 @@ class BallLattice:
         return project(self.to_pixels, np.asarray(places, np.float64))
 
     def step_px(self, place: NDArray[np.floating] | NDArray[np.intp]) -> float:
-        """Distance in pixels of neighbouring places about a place, the mean of both directions."""
+        """Return the distance in pixels of neighbouring places about a place, the mean of both directions."""
         beside: Float64Array = np.asarray(place, np.float64) + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         around = self.pixels(beside)
         return float(np.hypot(*(around[1:] - around[0]).T).mean())
 
     def missing(self) -> NDArray[np.intp]:
-        """Places among those taken, their bounding rectangle and one step around it, that no ball takes: (K, 2)."""
+        """Return places among those taken, their bounding rectangle and one step around it, that no ball takes: (K,
+        2)."""
         taken = self.index[self.on]
         low, high = taken.min(axis=0) - 1, taken.max(axis=0) + 1
         every = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), axis=-1)
@@ -87,7 +88,7 @@ class BallLattice:
 
 
 def find_lattice(points: Float64Array) -> BallLattice | None:
-    """The lattice on which balls at (column, row), array of shape (N, 2), lie; None when they form none."""
+    """Return the lattice on which balls at (column, row), array of shape (N, 2), lie; None when they form none."""
     best: tuple[float, BallLattice] | None = None
     if len(points) < MIN_BALLS:
         return None
@@ -107,7 +108,8 @@ def find_lattice(points: Float64Array) -> BallLattice | None:
 
 
 def _seeds(points: Float64Array) -> Iterator[tuple[int, Float64Array]]:
-    """Balls near the middle of all, each with pairs of steps, (2, 2), to its neighbours that may span a lattice."""
+    """Yield balls near the middle of all, each with pairs of steps, (2, 2), to its neighbours that may span a
+    lattice."""
     central = np.argsort(np.hypot(*(points - np.median(points, axis=0)).T))[:SEEDS]
     for seed in central:
         steps = points - points[seed]
@@ -121,7 +123,7 @@ def _seeds(points: Float64Array) -> Iterator[tuple[int, Float64Array]]:
 
 
 def _grown(points: Float64Array, seed: int, basis: Float64Array) -> dict[tuple[int, int], int]:
-    """Balls by place, reached from a seed in steps of one place."""
+    """Return balls by place, reached from a seed in steps of one place."""
     taken: dict[tuple[int, int], int] = {(0, 0): seed}
     free = np.ones(len(points), np.bool_)
     free[seed] = False
@@ -145,7 +147,8 @@ def _grown(points: Float64Array, seed: int, basis: Float64Array) -> dict[tuple[i
 
 
 def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallLattice | None:
-    """The lattice of the grown part, continued over gaps, outliers taken out; None when too few balls hold it up."""
+    """Return the lattice of the grown part, continued over gaps, outliers taken out; None when too few balls hold it
+    up."""
     index = np.zeros((len(points), 2), np.intp)
     on = np.zeros(len(points), np.bool_)
     for place, number in grown.items():
@@ -171,7 +174,7 @@ def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallL
 
 
 def _laid(places: NDArray[np.intp], points: Float64Array) -> Float64Array:
-    """Homography of shape (3, 3) from places to points, without perspective where the balls are few."""
+    """Return the homography of shape (3, 3) from places to points, without perspective where the balls are few."""
     if len(places) >= PERSPECTIVE_BALLS:
         return fit_homography(places.astype(np.float64), points)
     design = np.concatenate([places, np.ones((len(places), 1))], axis=1)
@@ -180,7 +183,7 @@ def _laid(places: NDArray[np.intp], points: Float64Array) -> Float64Array:
 
 
 def _spread_out(places: NDArray[np.intp]) -> bool:
-    """Whether places hold up a homography: enough of them, and not all but a few in one line."""
+    """Return True if places hold up a homography: enough of them, and not all but a few in one line."""
     if len(places) < MIN_BALLS:
         return False
     return bool(np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] > 0.8)
@@ -199,7 +202,8 @@ def _one_a_place(index: NDArray[np.intp], stray: Float64Array, near: MaskArray) 
 
 
 def _taken_share(lattice: BallLattice) -> float:
-    """Balls of the lattice over its places inside their convex hull, which holds area plus half of its border."""
+    """Return balls of the lattice over its places inside their convex hull, which holds area plus half of its
+    border."""
     places = lattice.index[lattice.on].astype(np.float32)
     hull = cv2.convexHull(places)
     around = np.abs(np.diff(np.concatenate([hull, hull[:1]])[:, 0], axis=0)).astype(int)
@@ -208,7 +212,8 @@ def _taken_share(lattice: BallLattice) -> float:
 
 
 def _upright(lattice: BallLattice) -> BallLattice:
-    """The same lattice, counted from its middle ball, its first axis along growing columns, its second along rows."""
+    """Return the same lattice, counted from its middle ball, its first axis along growing columns, its second along
+    rows."""
     taken = lattice.index[lattice.on]
     middle = taken[np.argmin(np.hypot(*(taken - np.median(taken, axis=0)).T))]
     jacobian = (lattice.pixels(middle + np.array([[1.0, 0.0], [0.0, 1.0]])) - lattice.pixels(middle[None])).T

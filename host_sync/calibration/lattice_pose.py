@@ -1,4 +1,4 @@
-"""How a ball grid lies before the camera: turned and scaled, sheared, in perspective, bent by the lens.
+"""Pose of a ball grid before the camera: turned and scaled, sheared, in perspective, bent by the lens.
 
 What the data support is asked of balls that the fit did not see. From the simplest pose on, a richer one is taken when
 it predicts held-out balls better by more than that gain's own standard error: a lens that bends by less than the balls
@@ -76,7 +76,7 @@ class GridPose:
 
 
 def fit_pose(places: Float64Array, points: Float64Array, shape: tuple[int, int]) -> GridPose:
-    """The pose in which places of a lattice are seen at points of a frame.
+    """Return the pose in which places of a lattice are seen at points of a frame.
 
     places : float64 array of shape (N, 2), steps
     points : float64 array of shape (N, 2), (column, row)
@@ -95,7 +95,7 @@ def fit_pose(places: Float64Array, points: Float64Array, shape: tuple[int, int])
 
 
 def _preferred(models: Sequence[PoseModel], errors: dict[PoseModel, Float64Array]) -> PoseModel:
-    """The richest model in a row of models each of which is surely better than the last one taken."""
+    """Return the richest model in a row of models each of which is surely better than the last one taken."""
     chosen = models[0]
     for model in models[1:]:
         gain = errors[chosen] - errors[model]
@@ -107,7 +107,8 @@ def _preferred(models: Sequence[PoseModel], errors: dict[PoseModel, Float64Array
 def _held_out_errors(
     model: PoseModel, places: Float64Array, points: Float64Array, shape: tuple[int, int]
 ) -> Float64Array:
-    """Mean over both axes of the squared distance (px²) of each ball from where the others put it, shape (N,).
+    """Return the mean over both axes of the squared distance (px²) of each ball from where the others put it, shape
+    (N,).
 
     Errors beyond `HUBER` times the median distance are cut there: one bad ball does not choose the model.
     """
@@ -123,7 +124,7 @@ def _held_out_errors(
 def _fit(
     model: PoseModel, places: Float64Array, points: Float64Array, shape: tuple[int, int]
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Parameters, the balls' weights (N,), and the normal matrix, by Gauss-Newton with Huber weights."""
+    """Return parameters, the balls' weights (N,), and the normal matrix, by Gauss-Newton with Huber weights."""
     parameters = _start(model, places, points, shape)
     weight, normal = np.ones(len(points)), np.eye(model.parameters)
     for _ in range(STEPS):
@@ -141,7 +142,7 @@ def _fit(
 
 
 def _start(model: PoseModel, places: Float64Array, points: Float64Array, shape: tuple[int, int]) -> Float64Array:
-    """Parameters of the similarity that fits best, in the order of `_seen`."""
+    """Return parameters of the similarity that fits best, in the order of `_seen`."""
     along = places[:, 0] + 1j * places[:, 1]
     offset = (points - _middle(shape)) / _half_diagonal(shape)
     seen = offset[:, 0] + 1j * offset[:, 1]
@@ -166,7 +167,7 @@ def _seen(model: PoseModel, parameters: Float64Array, places: Float64Array, shap
 
 
 def _jacobian(model: PoseModel, parameters: Float64Array, places: Float64Array, shape: tuple[int, int]) -> Float64Array:
-    """Derivatives of the places seen, in half diagonals, by the parameters: float64 array of shape (N, 2, K)."""
+    """Return derivatives of the places seen, in half diagonals, by the parameters: float64 array of shape (N, 2, K)."""
     small = 1e-6
     columns = []
     for step in small * np.eye(len(parameters)):

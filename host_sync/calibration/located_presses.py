@@ -30,7 +30,7 @@ COARSE_PX: Final = 60
 """Length of a frame's shorter side in which colours are compared: averages of blocks show little noise."""
 
 ONE_LIGHT_WORDS: Final = (
-    "all channels show the same light (a grey image, or white lamps): balls are found by lights of three colours, one "
+    "all channels show the same light (a grey image, or white lights): balls are found by lights of three colours, one "
     "a channel"
 )
 
@@ -47,14 +47,15 @@ def flat_field_of(frames: Sequence[LinearFrame], reference: LinearFrame | None) 
 
 
 def locate_usable(press: PressFrame, flat_field: Float32Array) -> UsedPress:
-    """A press, not one of a grid, with the balls that may be used for training; errors as for `locate`."""
+    """Return a press, not one of a grid, with the balls that may be used for training; errors as for `locate`."""
     return drop_clipped(locate(press, flat_field))
 
 
 def locate_all(
     presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, reference: LinearFrame | None
 ) -> tuple[Sequence[UsedPress], PixelPitch | None]:
-    """The presses with the balls that may be used for training, and the pixel pitch that grids among them measure.
+    """Return the presses with the balls that may be used for training, and the pixel pitch that grids among them
+    measure.
 
     stated_um : the pixel pitch as stated
 
@@ -142,7 +143,7 @@ def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float
 
 
 def mend_of_radius(ratio: float, radius: str, pitch: str) -> str:
-    """The mend where balls of another radius show, by the names of the two options.
+    """Return the mend where balls of another radius show, by the names of the two options.
 
     ratio : of the radius that shows to the one that is stated; contacts of one size fit radii within a factor of 1.5
     """
@@ -151,7 +152,7 @@ def mend_of_radius(ratio: float, radius: str, pitch: str) -> str:
 
 
 def colour_over_brightness(image: NormalizedImage) -> float:
-    """Root mean square of what colour changes where a frame changes most, over that of brightness."""
+    """Return the root mean square of what colour changes where a frame changes most, over that of brightness."""
     rows, columns = (max(1, round(size * COARSE_PX / min(image.shape))) for size in image.shape)
     small = cv2.resize(np.nan_to_num(image.values), (columns, rows), interpolation=cv2.INTER_AREA)
     values = np.log(np.maximum(small.reshape(rows, columns, -1), 1e-3))

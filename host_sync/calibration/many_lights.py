@@ -27,10 +27,11 @@ def calibrate_lights(
     light_names: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
     paper: bool = False,
-    lamps_mm: Sequence[Position] = (),
+    lights_mm: Sequence[Position] = (),
     pupil_height_mm: float | None = None,
 ) -> Calibration:
-    """The calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does three.
+    """Return the calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does
+    three.
 
     light_names : of the lights, for messages; numbers where there are none
     """
@@ -49,7 +50,7 @@ def calibrate_lights(
             others=others,
             tell=tell,
             paper=paper,
-            lamps_mm=lamps_mm,
+            lights_mm=lights_mm,
             pupil_height_mm=pupil_height_mm,
         )
     groups = choose_groups(frames)
@@ -62,7 +63,7 @@ def calibrate_lights(
                 pitch_um,
                 others=[in_group(frame, group) for frame in others],
                 tell=_telling(tell, f"lights {number} of {len(groups)}: "),
-                lamps_mm=[lamps_mm[light] for light in group] if lamps_mm else (),
+                lights_mm=[lights_mm[light] for light in group] if lights_mm else (),
                 pupil_height_mm=pupil_height_mm,
             )
         )
@@ -81,7 +82,7 @@ def calibrate_lights(
 
 
 def _flat_field(groups: Sequence[Group], found: Sequence[Calibration], count: int) -> Float32Array:
-    """The light of untouched skin of every light, (H, W, N)."""
+    """Return the light of untouched skin of every light, (H, W, N)."""
     flat_field = np.empty((*found[0].flat_field.shape[:2], count), np.float32)
     for group, calibration in zip(groups, found, strict=True):
         flat_field[..., list(group)] = calibration.flat_field

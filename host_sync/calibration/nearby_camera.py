@@ -13,7 +13,7 @@ from host_sync.uncertainty.elevation import apexes_px
 
 
 def seen_from(located: Sequence[UsedPress], inverse: InverseMap, viewpoint: Viewpoint) -> list[UsedPress]:
-    """The presses with balls as a camera sees them that is not far away.
+    """Return the presses with balls as a camera sees them that is not far away.
 
     Raises
     ------

@@ -57,7 +57,7 @@ class PitchReading:
 
 @dataclass(frozen=True, slots=True)
 class PixelPitch:
-    """What all grid presses say together.
+    """Pixel pitch measured on all grid presses together.
 
     stated_um : what the frame set says
     pitch_um, sigma_um : the mean of the readings and its standard uncertainty, µm per pixel; that of the grid's own
@@ -70,7 +70,7 @@ class PixelPitch:
     readings: tuple[PitchReading, ...]
 
     @property
-    def contradiction(self) -> str:
+    def disagreement(self) -> str:
         """The sentence that says how the stated pitch is wrong, empty when it is not."""
         off = self.stated_um - self.pitch_um
         if abs(off) <= PITCH_COVERAGE * self.sigma_um:
@@ -84,7 +84,7 @@ class PixelPitch:
 def read_pitch(
     press: str, lattice: BallLattice, balls: Sequence[Ball], grid: GridSpacing, shape: tuple[int, int]
 ) -> PitchReading:
-    """The pitch that one press measures, from its balls and their lattice, in a frame of `shape` (H, W)."""
+    """Return the pitch that one press measures, from its balls and their lattice, in a frame of `shape` (H, W)."""
     points = np.array([(ball.column, ball.row) for ball in balls])[lattice.on]
     places = lattice.index[lattice.on].astype(np.float64)
     pose = fit_pose(places, points, shape)
@@ -106,7 +106,7 @@ def read_pitch(
 
 
 def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPitch:
-    """The weighted mean of readings; where they differ by more than they say, that is its uncertainty.
+    """Return the weighted mean of readings; where they differ by more than they say, that is its uncertainty.
 
     What is wrong with every ball alike does not average out.
 
@@ -136,7 +136,7 @@ def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPi
 
 
 def _jacobians(pose: GridPose, places: Float64Array) -> Float64Array:
-    """Pixels per step about places: float64 array of shape (K, 2, 2)."""
+    """Return pixels per step about places: float64 array of shape (K, 2, 2)."""
     half = 1e-3
     return np.stack(
         [(pose.pixels(places + half * e) - pose.pixels(places - half * e)) / (2.0 * half) for e in np.eye(2)], axis=-1
@@ -149,7 +149,7 @@ def _step_px(pose: GridPose, places: Float64Array) -> Float64Array:
 
 
 def _gradient(pose: GridPose, places: Float64Array) -> Float64Array:
-    """Derivative of the mean of 1 / step by the parameters, shape (number of parameters,)."""
+    """Return the derivative of the mean of 1 / step by the parameters, shape (number of parameters,)."""
     found = []
     for step in 1e-5 * np.eye(len(pose.parameters)):
         ahead, behind = (

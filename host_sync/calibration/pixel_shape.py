@@ -38,7 +38,7 @@ SYSTEMATIC: Final = 0.02
 pixels are known to be square (oem-bga)."""
 
 OF_DEVIATION: Final = 0.1
-"""And this share of the deviation: a map that was taught with stretched balls reads the skin around them a little
+"""And this share of the deviation: a map that was fitted to stretched balls reads the skin around them a little
 wrong (rendered frames: 1.197 of true 1.176, 1.092 of 1.087)."""
 
 OF_DISAGREEMENT: Final = 0.7
@@ -83,8 +83,8 @@ class PixelShape:
             "by as much"
         )
 
-    def contradiction(self, pitch_um: float) -> str:
-        """The sentence on how pixels differ from the stated ones or may differ; empty where they agree."""
+    def disagreement(self, pitch_um: float) -> str:
+        """Return the sentence on how pixels differ from the stated ones or may differ; empty where they agree."""
         if self.off <= min(self.sigma, MAX_OFF):
             return ""
         if self.off <= self.allowed:
@@ -103,7 +103,7 @@ class PixelShape:
 
 
 def measure_pixel_shape(presses: Sequence[UsedPress], inverse_map: InverseMap) -> PixelShape | None:
-    """The shape that the presses show; None where too few balls do."""
+    """Return the shape that the presses show; None where too few balls do."""
     found = [_shape(press.intensity, ball, inverse_map) for press in presses for ball in press.balls]
     shapes = np.array([one for one in found if one is not None])
     if len(shapes) < LEAST_BALLS:
@@ -117,7 +117,7 @@ def measure_pixel_shape(presses: Sequence[UsedPress], inverse_map: InverseMap) -
 
 
 def _shape(image: NormalizedImage, ball: Ball, inverse_map: InverseMap) -> tuple[float, float] | None:
-    """The shape by one ball's skin, by total least squares of the two derivatives, and their correlation.
+    """Return the shape by one ball's skin, by total least squares of the two derivatives, and their correlation.
 
     None where they do not agree.
     """

@@ -1,8 +1,8 @@
-"""Whether balls have the radii that are stated for them: shading tells their sizes against one another.
+"""Check of the balls' stated radii: shading shows their sizes relative to one another.
 
 A map from intensity to slope trained on many balls reads every ball. A ball that is smaller than stated is steeper at
 each place than its stated radius makes it: the map reads its slopes by that share too steep. The common size of all
-balls cannot be told so: were all radii wrong by one share, the map would have learned slopes wrong by it.
+balls cannot be checked so: were all radii wrong by one share, the map would have learned slopes wrong by it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROUNDS: Final = 2
 
 
 def radius_shares(samples: BallSamples, inverse_map: InverseMap) -> Float64Array:
-    """Radius that shading gives each ball over the one stated, float64 array of shape (number of balls,).
+    """Return the radius that shading gives each ball over the one stated, float64 array of shape (number of balls,).
 
     NaN for a ball without a faithful pixel.
     """
@@ -53,14 +53,15 @@ def radius_shares(samples: BallSamples, inverse_map: InverseMap) -> Float64Array
 
 
 def radius_spread(shares: Float64Array) -> float:
-    """Relative spread of radii: one or two lights show all slopes too flat, which is no contradiction among balls."""
+    """Return relative spread of radii: one or two lights show all slopes too flat, which is no disagreement among
+    balls."""
     return float(np.nanstd(shares) / np.nanmedian(shares))
 
 
-def without_contradiction(
+def without_disagreement(
     presses: Sequence[UsedPress], begun: BegunFit, light: IlluminationMap | None
 ) -> tuple[Sequence[UsedPress], BegunFit]:
-    """The presses without balls whose radius contradicts the others', and the fit to the balls that are left.
+    """Return the presses without balls whose radius contradicts the others', and the fit to the balls that are left.
 
     Skin that leaves the ball inside of what was taken for the contact flattens the rim, and by another share in every
     press: where radii contradict, contacts are cut to their core if held-out balls prefer that. Presses stay as they

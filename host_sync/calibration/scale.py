@@ -1,8 +1,8 @@
-"""How sure the scale of heights is, in what is known of pixel pitch and ball radius.
+"""Uncertainty of the scale of heights from those of pixel pitch and ball radius.
 
 A ball's slopes are its places over its radius: p = s / sqrt(1 - s²), s = pixels times pitch over radius. Heights add up
 slopes times pitch. So a height is proportional to the square of the pitch and to the inverse of the radius (of gentle
-slopes; steep ones feel both more). Neither shows in the shading of balls of one size: what shading tells is the ratio
+slopes; steep ones feel both more). Neither shows in the shading of balls of one size: what shading shows is the ratio
 of a ball's places to its radius alone, and a map learned from it fits as well with both wrong by one share. Balls of
 two radii contradict each other where one of the two is wrong; their pitch they cannot tell either.
 """
@@ -47,7 +47,7 @@ class ScaleUncertainty(msgspec.Struct, frozen=True):
 def scale_uncertainty(
     pitch: PixelPitch | None, presses: Sequence[PressFrame], radius_shares: Float64Array, radii_px: Float64Array
 ) -> ScaleUncertainty:
-    """The scale's uncertainty.
+    """Return the scale's uncertainty.
 
     radius_shares : radius that shading gives each ball over the one stated
     radii_px : the one stated, by ball
@@ -68,7 +68,8 @@ def scale_uncertainty(
 
 
 def with_stated_pitch(scale: ScaleUncertainty, pitch_um: float, tolerance: float) -> ScaleUncertainty:
-    """The scale's uncertainty with a pixel pitch that lies within ± a fraction `tolerance`; a measured one is kept."""
+    """Return the scale's uncertainty with a pixel pitch that lies within ± a fraction `tolerance`; a measured one is
+    kept."""
     if scale.pixel_pitch_share is not None:
         return scale
     share = RECTANGLE * tolerance

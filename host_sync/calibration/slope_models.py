@@ -20,7 +20,7 @@ from host_sync.calibration.free_skin import with_free_skin
 from host_sync.calibration.lowered_balls import LoweredBalls
 from host_sync.calibration.nearby_camera import seen_from
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
-from host_sync.calibration.radii import without_contradiction
+from host_sync.calibration.radii import without_disagreement
 from host_sync.light.fit import FittedLight
 from host_sync.light.model import Position
 from host_sync.light.presses import Press, confirmed_fraction, held_out_readers
@@ -60,7 +60,7 @@ class SlopeModels:
     def of(
         cls,
         prepared: PreparedPresses,
-        lamps_mm: Sequence[Position],
+        lights_mm: Sequence[Position],
         pupil_height_mm: float | None,
         tell: Callable[[str], None],
     ) -> SlopeModels:
@@ -69,7 +69,7 @@ class SlopeModels:
         illumination = prepared.illumination
         begun, located, centres = fit_to_best_balls(prepared.frames, prepared.located, illumination)
         located, begun, removes_light = _in_best_light(prepared, located, begun, illumination)
-        located, begun = without_contradiction(located, begun, illumination)
+        located, begun = without_disagreement(located, begun, illumination)
         viewpoint = _viewpoint(prepared, pupil_height_mm)
         if viewpoint is not None:
             tell("fitting it again as the camera sees the balls")
@@ -77,7 +77,7 @@ class SlopeModels:
             begun = fit_to(located, illumination, begun)
         tell("fitting the light model")
         columns = prepared.flat_field.shape[1]
-        positions = np.asarray(lamps_mm, np.float64) * (1e3 / prepared.pitch_um / columns) if lamps_mm else None
+        positions = np.asarray(lights_mm, np.float64) * (1e3 / prepared.pitch_um / columns) if lights_mm else None
         lowered = LoweredBalls.of(located, begun.fit, slope_sigma_of(begun.fit.held_out_deg), positions)
         if lowered.light.has_sources:
             located = lowered.presses
@@ -117,7 +117,7 @@ def _in_best_light(
 ) -> tuple[Sequence[UsedPress], BegunFit, bool]:
     """Return presses and inverse map with the gains and offsets of presses removed, where held-out balls confirm it.
 
-    On some sensors the skin around a ball changes its light as no lamp does, and what resembles a gain is none.
+    On some sensors the skin around a ball changes its light as no light source does, and what resembles a gain is none.
     """
     if not any(light.change or light.stray for light in prepared.lights):
         return located, begun, True

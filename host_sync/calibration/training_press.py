@@ -42,7 +42,7 @@ class TrainingPress:
 
 
 def training_presses(presses: Sequence[UsedPress]) -> tuple[TrainingPress, ...]:
-    """The presses with pictures of `MAX_SHOWN` of them at most."""
+    """Return the presses with pictures of `MAX_SHOWN` of them at most."""
     shown = _chosen(presses)
     width_px = MAX_WIDTH_PX // pictures_across(len(shown))
     return tuple(
@@ -61,12 +61,12 @@ def training_presses(presses: Sequence[UsedPress]) -> tuple[TrainingPress, ...]:
 
 
 def pictures_across(count: int) -> int:
-    """Pictures in a row of `count` in all."""
+    """Return pictures in a row of `count` in all."""
     return int(np.ceil(np.sqrt(count)))
 
 
 def _chosen(presses: Sequence[UsedPress]) -> list[int]:
-    """Numbers of at most `MAX_SHOWN` presses: those with rejected balls first, the rest spread evenly."""
+    """Return numbers of at most `MAX_SHOWN` presses: those with rejected balls first, the rest spread evenly."""
     rejected_ones = [i for i, press in enumerate(presses) if press.rejected or press.error][:MAX_SHOWN]
     clean = [i for i in range(len(presses)) if i not in rejected_ones]
     room = MAX_SHOWN - len(rejected_ones)
@@ -75,7 +75,7 @@ def _chosen(presses: Sequence[UsedPress]) -> list[int]:
 
 
 def _picture(values: Float32Array, max_width_px: int) -> NDArray[np.uint8]:
-    """Intensity as a picture: flat skin mid-grey, slightly compressed."""
+    """Return the intensity as a picture: flat skin mid-grey, slightly compressed."""
     factor = max(1, values.shape[1] // max_width_px)
     if factor > 1:
         size = (values.shape[1] // factor, values.shape[0] // factor)

@@ -41,12 +41,12 @@ class CalibrationCache:
 
     @classmethod
     def of_user(cls, environment: Mapping[str, str] = os.environ) -> CalibrationCache:
-        """The user's cache."""
+        """Return the user's cache."""
         home = user_cache(environment)
         return cls(home and home / "calibrations")
 
     def find(self, key: str) -> KeptCalibration | None:
-        """The calibration with this key, None where there is none that can be read."""
+        """Return the calibration with this key, None where there is none that can be read."""
         if self._folder is None:
             return None
         path = self._path(key)
@@ -94,7 +94,7 @@ class CalibrationCache:
 
 
 def key_of(settings: object, files: Iterable[Path]) -> str:
-    """Digest of settings, files' contents, the package's own state and the libraries' versions.
+    """Return the digest of settings, files' contents, the package's own state and the libraries' versions.
 
     Raises
     ------

@@ -83,7 +83,7 @@ class Calibrator:
         return self._given is not None
 
     def named(self) -> KeptCalibration:
-        """The calibration that was named; only where one was."""
+        """Return the calibration that was named; only where one was."""
         assert self._given is not None  # noqa: S101 - the caller asked `is_named`, or made it so
         kept, source = self._given
         if not self._known:
@@ -92,7 +92,7 @@ class Calibrator:
         return kept
 
     def of_frame_set(self, frame_set: FrameSet) -> KeptCalibration:
-        """The calibration that a frame set's presses carry.
+        """Return the calibration that a frame set's presses carry.
 
         Raises
         ------
@@ -120,7 +120,7 @@ class Calibrator:
         return self._take(key, facts, lambda: frames_of_set(frame_set))
 
     def of_bundle(self, bundle: CalibrationBundle) -> KeptCalibration:
-        """The calibration that the frames of a bundle and the balls that the device found in them carry.
+        """Return the calibration that the frames of a bundle and the balls that the device found in them carry.
 
         Raises
         ------
@@ -161,11 +161,11 @@ class Calibrator:
 
 
 def calibrate_frame_set(frame_set: FrameSet, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
-    """The calibration that a frame set's presses carry, made now; errors as for `Calibrator.of_frame_set`."""
+    """Return the calibration that a frame set's presses carry, made now; errors as for `Calibrator.of_frame_set`."""
     tell("reading frames")
     return calibrate_frames(replace(frames_of_set(frame_set), paper=paper), tell)
 
 
 def calibration_of(bundle: CalibrationBundle, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
-    """The calibration that a bundle carries, made now; errors as for `Calibrator.of_bundle`."""
+    """Return the calibration that a bundle carries, made now; errors as for `Calibrator.of_bundle`."""
     return calibrate_frames(replace(frames_of_bundle(bundle), paper=paper), tell)

@@ -20,7 +20,7 @@ NO_REFERENCE_FRAMES: Final = 24
 
 
 def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
-    """The frames that a frame set's calibration is made from.
+    """Return the frames that a frame set's calibration is made from.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
         frame_set.pixel_pitch_um,
         others,
         frame_set.lights,
-        lamps_mm=frame_set.lamps_mm,
+        lights_mm=frame_set.lights_mm,
         pupil_height_mm=frame_set.pupil_height_mm,
         states_pixel_shape=frame_set.states_pixel_shape,
         states_diameters=frame_set.states_diameters,
@@ -46,7 +46,7 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
 
 
 def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
-    """The frames of a calibration bundle, with the balls that the device found in them.
+    """Return the frames of a calibration bundle, with the balls that the device found in them.
 
     Raises
     ------
@@ -67,19 +67,19 @@ def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:
     reference = demosaic(bundle.reference())
     board = _known_board(record)
     on_usb = board is not None and board.uvc is not None  # its lights are no points
-    lamps_mm = () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
+    lights_mm = () if on_usb else tuple(light.position_mm for light in record.fingerprint.lights)
     return CalibrationFrames(
-        presses, reference, record.pixel_pitch_um, lamps_mm=lamps_mm, pupil_height_mm=_pupil_height_mm(record, board)
+        presses, reference, record.pixel_pitch_um, lights_mm=lights_mm, pupil_height_mm=_pupil_height_mm(record, board)
     )
 
 
 def _pupil_height_mm(record: CalibrationRecord, board: BoardProfile | None) -> float | None:
-    """The camera's height over untouched skin; of an older record, which does not hold it, that of its board."""
+    """Return the camera's height over untouched skin; of an older record, which does not hold it, that of its board."""
     return board.pupil_height_mm if record.pupil_height_mm is None and board is not None else record.pupil_height_mm
 
 
 def _known_board(record: CalibrationRecord) -> BoardProfile | None:
-    """The profile of a calibration's board; None of a builder's own."""
+    """Return the profile of a calibration's board; None of a builder's own."""
     if record.board.endswith(".toml"):
         return None
     try:
@@ -89,7 +89,7 @@ def _known_board(record: CalibrationRecord) -> BoardProfile | None:
 
 
 def key_of_set(frame_set: FrameSet) -> str:
-    """Digest of everything that a frame set's calibration is made from.
+    """Return the digest of everything that a frame set's calibration is made from.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def key_of_set(frame_set: FrameSet) -> str:
     stored = frame_set.pixel_shape, frame_set.full_scale
     settings = (*settings, "stored", stored) if stored != (1.0, None) else settings
     settings = (*settings, frame_set.lights) if frame_set.lights else settings
-    settings = (*settings, "light places", frame_set.lamps_mm) if frame_set.lamps_mm else settings
+    settings = (*settings, "light places", frame_set.lights_mm) if frame_set.lights_mm else settings
     settings = (*settings, "two pitches") if frame_set.states_pixel_shape else settings
     settings = (*settings, "diameters") if frame_set.states_diameters else settings
     settings = (*settings, "± pitch", frame_set.pitch_tolerance) if frame_set.pitch_tolerance is not None else settings
@@ -119,7 +119,7 @@ def key_of_set(frame_set: FrameSet) -> str:
 
 
 def key_of_bundle(bundle: CalibrationBundle) -> str:
-    """Digest of everything that a bundle's calibration is made from.
+    """Return the digest of everything that a bundle's calibration is made from.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def key_of_bundle(bundle: CalibrationBundle) -> str:
 
 
 def stand_ins(frame_set: FrameSet) -> list[FrameSpec]:
-    """Frames that help to stand in for a missing reference."""
+    """Return frames that help to stand in for a missing reference."""
     return [] if frame_set.reference else [scan.frame for scan in frame_set.scans[:NO_REFERENCE_FRAMES]]
 
 
@@ -144,7 +144,7 @@ def _settings(press: PressSpec, frame_set: FrameSet) -> tuple[Any, ...]:
 
 
 def press_frame(press: PressSpec, frame_set: FrameSet) -> PressFrame:
-    """The press as calibration takes it; errors as for `read_frame`."""
+    """Return the press as calibration takes it; errors as for `read_frame`."""
     tolerance = press.radius_tolerance_mm
     return PressFrame(
         name=press.name,
@@ -159,6 +159,6 @@ def press_frame(press: PressSpec, frame_set: FrameSet) -> PressFrame:
 
 
 def _source(press: PressSpec, frame_set: FrameSet) -> str:
-    """The press's file as seen from the frame set's folder."""
+    """Return the press's file as seen from the frame set's folder."""
     image, folder = press.frame.images[0], frame_set.path.parent
     return str(image.relative_to(folder)) if image.is_relative_to(folder) else image.name

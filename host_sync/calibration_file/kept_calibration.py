@@ -71,7 +71,7 @@ class KeptCalibration:
                 (folder / name).write_bytes(data)
 
     def as_file(self) -> bytes:
-        """Contents of its file."""
+        """Return contents of its file."""
         members = as_members(self.calibration)
         members |= {f"{REPORT_MEMBERS}{name}": data for name, data in self.report.items()}
         stream = BytesIO()
@@ -93,7 +93,7 @@ class KeptCalibration:
 def make_calibration(
     frames: CalibrationFrames, facts: Callable[[Calibration], Facts], tell: Callable[[str], None] = lambda _: None
 ) -> KeptCalibration:
-    """The calibration that frames carry, with its report; errors as for `calibrate`."""
+    """Return the calibration that frames carry, with its report; errors as for `calibrate`."""
     calibration = calibrate_frames(frames, tell)
     tell("drawing the calibration's report")
     report = report_files(calibration)
@@ -131,7 +131,7 @@ def facts_of(
 
 
 def read_calibration_file(source: Path | bytes, name: str | None = None) -> KeptCalibration:
-    """The calibration in a file, or in the bytes of one that is called `name`.
+    """Return the calibration in a file, or in the bytes of one that is called `name`.
 
     Raises
     ------

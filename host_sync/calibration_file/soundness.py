@@ -101,7 +101,7 @@ def check_sound(calibration: Calibration, name: str) -> None:
 
 
 def _records(value: Any) -> Iterator[Any]:
-    """The record, and those within it; what is within an inverse map is its own business."""
+    """Yield the record, and those within it; what is within an inverse map is its own business."""
     if is_dataclass(value) or isinstance(value, msgspec.Struct) or hasattr(value, "_fields"):
         yield value
         if not isinstance(value, InverseMap):

@@ -20,7 +20,7 @@ REJECTED_BAR: Final[dict[str, Any]] = {"color": "#ddcc77", "hatch": "//", "edgec
 
 
 def balls_figure(presses: Sequence[TrainingPress]) -> Figure:
-    """Presses with their used and rejected balls: those that have a picture."""
+    """Return presses with their used and rejected balls: those that have a picture."""
     shown = [press for press in presses if press.picture is not None]
     grid_columns = pictures_across(len(shown))
     grid_rows = -(-len(shown) // grid_columns)
@@ -66,7 +66,7 @@ def _draw_press(axes: Axes, press: TrainingPress) -> None:
 
 
 def residuals_figure(calibration: Calibration) -> Figure:
-    """Held-out error by slope and by ball, presses and balls named as in `balls_figure`."""
+    """Return held-out error by slope and by ball, presses and balls named as in `balls_figure`."""
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     by_slope, by_ball = figure.subplots(1, 2, width_ratios=(1.0, 2.0))
     _draw_bands(by_slope, calibration)

@@ -31,7 +31,7 @@ LARGE_DEG: Final = 6.0
 
 
 def overview_figure(calibration: Calibration, at_rest: HeightMap | None, why_not: str) -> Figure:
-    """The picture.
+    """Return the picture.
 
     at_rest : heights of the reference, read as a scan; None where it could not be read
     why_not : why `at_rest` is None
@@ -158,7 +158,7 @@ class ShownPress:
 
 
 def sheet_height_in(presses: Sequence[ShownPress], width_in: float) -> float:
-    """Height of a sheet of these presses that is so wide."""
+    """Return the height of a sheet of these presses that is so wide."""
     across = pictures_across(len(presses))
     rows, columns = presses[0].shape
     return (width_in / across * rows / columns + TITLE_IN) * -(-len(presses) // across)
@@ -202,7 +202,7 @@ def _draw_press(axes: Axes, press: ShownPress, width_in: float) -> None:
 
 
 def reduced_picture(values: NDArray[np.floating], width_px: int) -> NDArray[np.uint8]:
-    """Linear light as a picture of about this width: the brightest hundredth is white."""
+    """Return linear light as a picture of about this width: the brightest hundredth is white."""
     factor = max(1, values.shape[1] // width_px)
     size = (values.shape[1] // factor, values.shape[0] // factor)
     small = cv2.resize(np.asarray(values[..., :3], np.float32), size, interpolation=cv2.INTER_AREA)

@@ -34,7 +34,7 @@ _REFLECTANCE_CAPTION: Final = (
 
 
 def reflectance_figure(model: PaperModel) -> Figure:
-    """One row per channel: data, order 2, order 5, and the residuals of both."""
+    """Return one row per channel: data, order 2, order 5, and the residuals of both."""
     maps = model.maps
     observed = _smoothed(maps)
     fits = (model.lambertian, model.harmonics)
@@ -90,7 +90,7 @@ def _levels(values: Float64Array) -> Float64Array:
 
 
 def _smoothed(maps: ReflectanceMaps, sigma_cells: float = 0.8) -> Float64Array:
-    """Observed maps averaged over neighbouring cells, NaN where nothing was observed nearby."""
+    """Return the observed maps averaged over neighbouring cells, NaN where nothing was observed nearby."""
     seen = maps.observed
     count = gaussian_filter(maps.count.astype(np.float64), sigma_cells)
     sums = np.where(seen[..., None], maps.mean * maps.count[..., None], 0.0)
@@ -135,7 +135,8 @@ _AMBIGUITY_CAPTION: Final = (
 
 
 def ambiguity_figure(model: PaperModel) -> Figure:
-    """Density of the balls' colours in (a*, b*), the slopes of the most ambiguous bin, and candidates per bin."""
+    """Return the density of the balls' colours in (a*, b*), the slopes of the most ambiguous bin, and candidates per
+    bin."""
     figure = Figure(figsize=(15.5, 5.9), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
     _draw_density(left, model.maps)
@@ -218,7 +219,7 @@ def _draw_slopes(axes: Axes, model: PaperModel) -> None:
 
 
 def _brightness(surface: ReflectanceSurface, slopes: Float64Array) -> Float64Array:
-    """Mean of the channels on a square grid of slopes, 0 to 1; NaN beyond the surface's reach."""
+    """Return the mean of the channels on a square grid of slopes, 0 to 1; NaN beyond the surface's reach."""
     p, q = np.meshgrid(slopes, slopes)
     mean = surface.on_grid(slopes).mean(axis=-1)
     inside = p * p + q * q <= surface.reach**2
@@ -243,7 +244,7 @@ def _draw_counts(axes: Axes, model: PaperModel) -> None:
 
 
 def _white(maps: ReflectanceMaps) -> float:
-    """The intensity shown as white."""
+    """Return the intensity shown as white."""
     return float(np.nanpercentile(maps.mean, 99.5))
 
 
@@ -255,5 +256,5 @@ def _lab(intensity: NDArray[np.floating], white: float) -> Float32Array:
 
 
 def paper_figures(model: PaperModel) -> dict[str, Figure]:
-    """Figures like the paper's 3 and 4, by file name."""
+    """Return figures like the paper's 3 and 4, by file name."""
     return {"reflectance-maps": reflectance_figure(model), "ambiguous-bins": ambiguity_figure(model)}

@@ -22,7 +22,7 @@ PAPER_PICTURES = ("reflectance-maps.png", "ambiguous-bins.png")
 
 
 def report_files(calibration: Calibration) -> dict[str, bytes]:
-    """Contents of `report.json` and the pictures, by name."""
+    """Return contents of `report.json` and the pictures, by name."""
     # matplotlib takes longer to load than a kept calibration takes to read, whose report is drawn already.
     from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
 
@@ -38,7 +38,7 @@ def report_files(calibration: Calibration) -> dict[str, bytes]:
 
 
 def report_record(calibration: Calibration) -> dict[str, Any]:
-    """Contents of `report.json`: angles in degrees, positions in pixels, unknown values null."""
+    """Return contents of `report.json`: angles in degrees, positions in pixels, unknown values null."""
     inverse = calibration.inverse
     assessment = calibration.assessment
     return {
@@ -101,7 +101,7 @@ def report_record(calibration: Calibration) -> dict[str, Any]:
 
 
 def _pitch_record(pitch: PixelPitch | None) -> dict[str, Any] | None:
-    """Pixel pitch from ball grids; lengths in µm per pixel unless the name says otherwise."""
+    """Return the pixel pitch from ball grids; lengths in µm per pixel unless the name says otherwise."""
     if pitch is None:
         return None
     return {

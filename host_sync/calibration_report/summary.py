@@ -7,7 +7,7 @@ from host_sync.calibration.calibrate import Calibration
 
 
 def calibration_lines(calibration: Calibration) -> tuple[str, ...]:
-    """Verdict and key values; then what to press next, and notes, one sentence each."""
+    """Return the verdict and key values; then what to press next, and notes, one sentence each."""
     assessment = calibration.assessment
     failed = [_failed(check) for check in assessment.checks if not check.passed]
     balls = sum(len(press.balls) for press in calibration.presses)

@@ -100,7 +100,7 @@ def check_specimen(
 def _surface(
     folder: Path, scan: ScanTable, calibration: Calibration, form: FrameSpec, out: Path, name: str
 ) -> ResultSurface:
-    """The surface of one scan: read where it was reconstructed before, else reconstructed now."""
+    """Return the surface of one scan: read where it was reconstructed before, else reconstructed now."""
     if scan.result is not None:
         surface = read_result(folder / scan.result)
         if surface.record.calibration_id != calibration.calibration_id:
@@ -121,7 +121,7 @@ def _images(scan: ScanTable) -> tuple[str, ...]:
 
 
 def _hashed(frame_set: Path, specimens: Sequence[tuple[Path, SpecimenFile]]) -> Iterator[HashedFile]:
-    """The files that were judged: the frame set's description, each specimen's, and its images."""
+    """Yield the files that were judged: the frame set's description, each specimen's, and its images."""
     yield _hash(frame_set)
     for path, specimen in specimens:
         yield _hash(path)

@@ -22,7 +22,7 @@ STANDARDS = "in the manner of ISO 25178-700:2022; terms after ISO 25178-600, E_n
 
 
 def pages_of(certificate: Certificate) -> Report:
-    """The report of a certificate."""
+    """Return the report of a certificate."""
     specimens = Table(
         "Agreement with specimens",
         ("specimen", "certified, µm", "measured, µm", "error", "E_n"),
@@ -117,7 +117,7 @@ def _calibration(certificate: Certificate) -> Iterator[tuple[str, str]]:
 
 
 def _with(value: float, expanded: float | None) -> str:
-    """A value with its U, to two digits of it."""
+    """Return a value with its U, to two digits of it."""
     if expanded is None:
         return f"{value:.4g} (± not known)"
     places = max(decimals(expanded), 0)
@@ -131,7 +131,7 @@ _BLUE: Final = "#24527a"
 
 
 def pictures_of(certificate: Certificate) -> Iterator[Picture]:
-    """The picture, where a specimen was measured."""
+    """Yield the picture, where a specimen was measured."""
     shown = [one for one in certificate.specimens if one.error_um is not None and one.certified_um > 0.0]
     if not shown:
         return
@@ -206,7 +206,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
 def certify(
     instrument: str, calibration: Calibration, checked: Sequence[CheckedSpecimen], files: Sequence[HashedFile]
 ) -> Certificate:
-    """The certificate of a calibration from its checked specimens.
+    """Return the certificate of a calibration from its checked specimens.
 
     instrument : the frame set's name
     """
@@ -243,7 +243,7 @@ def verdict_of(results: Sequence[SpecimenResult]) -> Verdict:
 
 
 def verdict_words(certificate: Certificate) -> str:
-    """The verdict as a sentence."""
+    """Return the verdict as a sentence."""
     if certificate.verdict == "agrees":
         return f"The instrument agrees with every specimen: no |E_n| is above {MAX_E_N:g}."
     if certificate.verdict == "does not agree":

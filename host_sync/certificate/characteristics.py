@@ -48,7 +48,7 @@ class CheckedSpecimen:
 
 
 def characteristics(checked: Sequence[CheckedSpecimen]) -> tuple[Characteristic, ...]:
-    """Every characteristic, in the order in which ISO 25178-600 lists them."""
+    """Return every characteristic, in the order in which ISO 25178-600 lists them."""
     return (
         _noise(checked),
         _flatness(checked),
@@ -94,7 +94,7 @@ def _flatness(checked: Sequence[CheckedSpecimen]) -> Characteristic:
 
 
 def _vertical(checked: Sequence[CheckedSpecimen]) -> tuple[Characteristic, Characteristic]:
-    """Amplification in z from steps and grooves, and the largest deviation from it."""
+    """Return the amplification in z from steps and grooves, and the largest deviation from it."""
     points = [one.result for one in checked if one.file.kind in ("step", "groove") and one.result.mean_um is not None]
     alpha = _amplification("α_z", "amplification coefficient in z", points, "needs a step or a groove")
     name = "linearity deviation in z"
@@ -106,7 +106,7 @@ def _vertical(checked: Sequence[CheckedSpecimen]) -> tuple[Characteristic, Chara
 
 
 def _lateral(checked: Sequence[CheckedSpecimen], axis: Literal["x", "y"]) -> Characteristic:
-    """Amplification along an axis from specimens of certified period."""
+    """Return the amplification along an axis from specimens of certified period."""
     points = [one.result for one in checked if one.file.axis == axis and one.result.mean_um is not None]
     needed = f'needs a specimen of kind "period" along {axis}'
     return _amplification("α_x" if axis == "x" else "α_y", f"amplification coefficient in {axis}", points, needed)
@@ -131,7 +131,7 @@ def _amplification(symbol: Symbol, name: str, points: Sequence[SpecimenResult], 
 
 
 def _resolution(checked: Sequence[CheckedSpecimen]) -> Characteristic:
-    """Width of a step's edge between a tenth and nine tenths of its height: specimen and skin are in it."""
+    """Return the width of a step's edge between a tenth and nine tenths of its height: specimen and skin are in it."""
     name = "topographic spatial resolution, 10–90 % width of an edge"
     widths, names = [], []
     steps = [one for one in checked if one.file.kind == "step"]
@@ -167,7 +167,8 @@ def _edge_width_um(specimen: SpecimenFile, surface: ResultSurface) -> float | No
 
 
 def _crossing_width(along: Float64Array, share: Float64Array) -> float | None:
-    """Distance between the places where a profile, 0 to 1, passes both levels about the steepest half-way crossing."""
+    """Return the distance between the places where a profile, 0 to 1, passes both levels about the steepest half-way
+    crossing."""
     half = np.flatnonzero(np.diff(share > 0.5))
     if not half.size:
         return None
@@ -185,7 +186,7 @@ def _crossing_width(along: Float64Array, share: Float64Array) -> float | None:
 
 
 def _part(surface: ResultSurface, specimen: SpecimenFile) -> Float32Array:
-    """The heights of the specimen's region, the whole field where it has none."""
+    """Return the heights of the specimen's region, the whole field where it has none."""
     z_um, region, pitch = surface.height.z_um, specimen.measure.region_um, surface.height.pitch_um
     if region is None:
         return z_um
@@ -194,5 +195,5 @@ def _part(surface: ResultSurface, specimen: SpecimenFile) -> Float32Array:
 
 
 def _levelled(z_um: Float32Array) -> Float32Array:
-    """Heights without their plane."""
+    """Return heights without their plane."""
     return PolynomialForm(np.isfinite(z_um), 1).remove(z_um)

@@ -67,7 +67,7 @@ class SpecimenResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def recipe_of(specimen: SpecimenFile) -> Recipe:
-    """The recipe that measures a specimen; standard uncertainties."""
+    """Return the recipe that measures a specimen; standard uncertainties."""
     how = specimen.measure
     scale = StatedScale(pixel_pitch_share=how.pixel_pitch_share, ball_radius_share=how.ball_radius_share)
     plain = Recipe(name=specimen.name, parameters=("Sq",), scale=scale)
@@ -92,7 +92,7 @@ def recipe_of(specimen: SpecimenFile) -> Recipe:
 
 
 def measured_quantity(specimen: SpecimenFile, surface: ResultSurface) -> Quantity:
-    """The certified number as one scan shows it.
+    """Return the certified number as one scan shows it.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def measured_quantity(specimen: SpecimenFile, surface: ResultSurface) -> Quantit
 
 
 def judge(specimen: SpecimenFile, quantities: Sequence[Quantity], failures: Sequence[str]) -> SpecimenResult:
-    """The comparison of all scans of a specimen with its certificate.
+    """Return the comparison of all scans of a specimen with its certificate.
 
     What scans share (the calibration) does not average out: the mean of the scans' own standard uncertainties stays,
     and their scatter, divided by the root of their number, comes beside it.
@@ -152,7 +152,7 @@ def judge(specimen: SpecimenFile, quantities: Sequence[Quantity], failures: Sequ
 
 
 def _ends(specimen: SpecimenFile) -> tuple[Place, Place]:
-    """Both ends of the specimen's line."""
+    """Return both ends of the specimen's line."""
     how = specimen.measure
     assert how.from_um is not None  # noqa: S101 - checked where the file was read
     assert how.to_um is not None  # noqa: S101 - likewise
@@ -169,7 +169,7 @@ MIN_EXPLAINED: Final = 0.5
 
 
 def measured_period(specimen: SpecimenFile, surface: ResultSurface, scale: StatedScale) -> Quantity:
-    """The period along the specimen's line, and its ± from every surface that the result's samples allow.
+    """Return the period along the specimen's line, and its ± from every surface that the result's samples allow.
 
     scale : standard uncertainties that the calibration did not measure
 
@@ -206,7 +206,7 @@ def measured_period(specimen: SpecimenFile, surface: ResultSurface, scale: State
 
 
 def period_um(profile: Profile, expected_um: float, source: str) -> float:
-    """The period nearest to the expected one that explains a profile best, µm; `source` names it in errors.
+    """Return the period nearest to the expected one that explains a profile best, µm; `source` names it in errors.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def period_um(profile: Profile, expected_um: float, source: str) -> float:
 
 
 def _unexplained(along: Float64Array, z_um: Float64Array, period_um: float) -> float:
-    """Fraction of a profile's variance that a line and the harmonics of a period leave."""
+    """Return the fraction of a profile's variance that a line and the harmonics of a period leave."""
     phase = 2.0 * np.pi * along / period_um
     waves = [wave(n * phase) for n in range(1, HARMONICS + 1) for wave in (np.sin, np.cos)]
     plain = np.stack([np.ones_like(along), along - along.mean()], axis=-1)
@@ -320,7 +320,7 @@ class SpecimenFile(_Table, frozen=True, kw_only=True):
 
 
 def read_specimen(path: Path) -> SpecimenFile:
-    """The specimen of a file, each key checked.
+    """Return the specimen of a file, each key checked.
 
     Raises
     ------

@@ -83,7 +83,7 @@ def calibrate_command(
 
 
 def _reference_of(source: Path) -> LinearFrame | None:
-    """The frame of untouched skin of a frame set; None of another source, or where the set names none."""
+    """Return the frame of untouched skin of a frame set; None of another source, or where the set names none."""
     if source.suffix != ".toml":
         return None
     reference = load_frame_set(source).reference
@@ -114,7 +114,7 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
 
 
 def _lines(certificate: Certificate) -> list[str]:
-    """Specimens and characteristics, one a line."""
+    """Return specimens and characteristics, one a line."""
     from host_sync.certificate.certificate_pages import pages_of
 
     specimens, characteristics, *_ = pages_of(certificate).tables
@@ -157,7 +157,8 @@ def calibrator_for(
 
 
 def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bool = False) -> KeptCalibration:
-    """The calibration of that name: a file of `retrosync calibrate`, a frame set, a calibration's folder, or its id.
+    """Return the calibration of that name: a file of `retrosync calibrate`, a frame set, a calibration's folder, or its
+    id.
 
     library : folder of pulled calibrations, of which `name` is an id or its beginning or end
     paper : whether the paper's model is needed

@@ -26,7 +26,7 @@ UNITS_S: Final = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3600.0)
 
 
 def known_devices() -> PairedDevices:
-    """The devices in this user's settings."""
+    """Return the devices in this user's settings."""
     return PairedDevices(default_devices_folder())
 
 

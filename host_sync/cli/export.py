@@ -93,7 +93,7 @@ def _export_one(
     library: Path | None,
     choices: ExportChoices,
 ) -> tuple[list[Path], list[str]]:
-    """The files of one source, and what is wrong with those that are not written."""
+    """Return the files of one source, and what is wrong with those that are not written."""
     try:
         return _written(source, forms, out, library, choices)
     except (DeviceError, HostError) as error:

@@ -113,7 +113,7 @@ def import_command(
 
 
 def _folder_and_kind(source: tuple[Path, ...], kind: Kind | None) -> tuple[Path, Kind | None]:
-    """The folder, and the kind where it is named."""
+    """Return the folder, and the kind where it is named."""
     from host_sync.importers.recognition import IMPORTERS
 
     if len(source) == 2 and str(source[0]) in IMPORTERS:
@@ -124,7 +124,7 @@ def _folder_and_kind(source: tuple[Path, ...], kind: Kind | None) -> tuple[Path,
 
 
 def _described(folder: Path, kind: Kind | None, said: Said, field_mm: float | None) -> Draft:
-    """The draft of a folder; what is missing is asked for where somebody can answer.
+    """Return the draft of a folder; what is missing is asked for where somebody can answer.
 
     field_mm : width of the field, from which the pixel pitch follows; None where the pitch is known
     """

@@ -190,7 +190,7 @@ WIDEST = 40
 
 
 def _aligned(hits: Sequence[Hit]) -> list[str]:
-    """A header and a line per scan, in columns; nothing without scans."""
+    """Return a header and a line per scan, in columns; nothing without scans."""
     rows = [
         (
             hit.scan_id, hit.taken[:16], _verdict(hit), hit.job or "-", hit.part or "-", hit.gel, hit.operator or "-",
@@ -208,7 +208,7 @@ def _verdict(hit: Hit) -> str:
 
 
 def _with_saved(query: Query, library: Library, name: str) -> Query:
-    """A query with the conditions of a saved search that it does not state itself."""
+    """Return a query with the conditions of a saved search that it does not state itself."""
     searches = read_labels(library.root).searches
     if name not in searches:
         known = ", ".join(searches) or "none is saved"

@@ -136,7 +136,7 @@ def measure_command(
 
 
 def chosen_recipe(path: Path | None, given: dict[str, object]) -> Recipe:
-    """The recipe of a file, or the default, with the options of the command line.
+    """Return the recipe of a file, or the default, with the options of the command line.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def chosen_recipe(path: Path | None, given: dict[str, object]) -> Recipe:
 
 
 def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | str]:
-    """Result folders in order; a sentence for a scan without results.
+    """Return the result folders in order; a sentence for a scan without results.
 
     Raises
     ------
@@ -180,14 +180,14 @@ def result_folders(names: Sequence[Path], library: Path | None) -> list[Path | s
 
 
 def _results_in(place: Path) -> list[Path]:
-    """The place itself, or the results in it where it is a folder of results."""
+    """Return the place itself, or the results in it where it is a folder of results."""
     if not place.is_dir() or (place / RECORD_FILE).is_file():
         return [place]
     return sorted((path.parent for path in place.glob(f"*/{RECORD_FILE}")), key=natural_order) or [place]
 
 
 def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:
-    """The measurement of each folder in turn, or a sentence that says why it cannot be measured."""
+    """Yield the measurement of each folder in turn, or a sentence that says why it cannot be measured."""
     with status_spinner() as tell:
         tell("loading compiled code")
         from host_sync.measurement.measure import measure_result

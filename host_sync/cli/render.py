@@ -63,7 +63,7 @@ class Look:
     range_um: tuple[float, float] | None = None
 
     def still(self, *, turning: bool = False) -> Still:
-        """The settings of the renderer."""
+        """Return the settings of the renderer."""
         from host_sync.render.still import Still, Viewpoint
 
         aslant = self.azimuth is not None or self.elevation is not None or turning
@@ -130,7 +130,7 @@ def render_command(
 
 
 def _entries(results: tuple[Path, ...]) -> list[Entry]:
-    """The entries in the named places, without duplicates.
+    """Return the entries in the named places, without duplicates.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
 
 
 def _common_range(entries: list[Entry]) -> tuple[float, float]:
-    """Lowest and highest height of all that can be read, µm."""
+    """Return the lowest and highest height of all that can be read, µm."""
     from host_sync.render.shading import height_range_um
 
     ends = []

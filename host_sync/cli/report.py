@@ -158,7 +158,7 @@ def _write(report: Report, place: Path, browser: str | None, *, replace: bool) -
 
 
 def _template(path: Path | None) -> tuple[Template | None, Picture | None]:
-    """The template of a file and its logo, before minutes of work."""
+    """Return the template of a file and its logo, before minutes of work."""
     if path is None:
         return None, None
     from host_sync.report.content import read_template
@@ -167,7 +167,7 @@ def _template(path: Path | None) -> tuple[Template | None, Picture | None]:
 
 
 def file_name(text: str, taken: set[str]) -> str:
-    """A new file name from any text: letters, digits and . _ - only, not hidden; it is added to those taken."""
+    """Return a new file name from any text: letters, digits and . _ - only, not hidden; it is added to those taken."""
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", text).strip("._-")[:MAX_NAME] or "result"
     name, number = plain, 2
     while name.casefold() in taken:

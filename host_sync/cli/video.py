@@ -99,7 +99,7 @@ def video(
 
 
 def _opened(sequence: Path, library: Path | None) -> tuple[FrameSequence, str | None]:
-    """The frames, and the id of their own calibration where they are a scan's of the library."""
+    """Return the frames, and the id of their own calibration where they are a scan's of the library."""
     if library is None or sequence.exists():
         return open_sequence(sequence), None
     bundle = Library(library).named(str(sequence))

@@ -1,4 +1,4 @@
-"""What the camera's blur takes from a surface, given back as far as every camera takes it.
+"""Correction of the camera's blur, as far as every camera has it.
 
 A blur of standard deviation s takes ½ s² ∇²z from heights, to first order: of a wave of 20 px 1.2 % with s = 0.5 px, of
 one of 10 px 5 %. A pixel's own square has 0.29 px; a lens that suits its pixels makes 0.5 px of it, and more is not
@@ -31,7 +31,7 @@ REACH: Final = 2
 
 
 def without_blur(height: HeightMap, blur_px: float) -> HeightMap:
-    """The height map less the Laplacian that a blur added; unchanged next to invalid pixels.
+    """Return the height map less the Laplacian that a blur added; unchanged next to invalid pixels.
 
     blur_px : standard deviation of the blur; 0 takes nothing out
     """
@@ -68,7 +68,7 @@ def _write_inner(above: Any, left: Any, here: Any, right: Any, below: Any, share
 
 @njit(cache=True, fastmath=CONTRACT)
 def _less_bend(begun: Any, left: Any, here: Any, right: Any, below: Any, share: Any) -> Any:
-    """A height less its share of the Laplacian; unchanged where a neighbour is no number.
+    """Return a height less its share of the Laplacian; unchanged where a neighbour is no number.
 
     begun : the share of the height above, rounded by itself, so that every pixel's terms are added alike
     """

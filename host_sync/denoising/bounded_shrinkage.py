@@ -1,4 +1,4 @@
-"""How strongly a calibration's frames are shrunk: as the recipe says, or less where that would cost fine detail.
+"""Strength of a calibration's shrinkage: that of the recipe, or less where it would cost fine detail.
 
 Held-out balls are smooth and always ask for more; so what bounds the strength is what is left of fine patterns at the
 calibration's own noise.
@@ -38,7 +38,7 @@ WIDEST_RIDGE_PX: Final = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetailShrinkage:
-    """What a calibration knows of its noise and of shrinking it.
+    """Noise of a calibration's frames and the strength of its shrinkage.
 
     noise : of its frames
     strength : share of the recipe's strength
@@ -52,11 +52,11 @@ class DetailShrinkage:
     transfer: DetailTransfer
 
     def shrunk(self, image: NormalizedImage) -> NormalizedImage:
-        """The image with its noise shrunk."""
+        """Return the image with its noise shrunk."""
         return shrink_but_long_waves(image, self.shrinkage)
 
     def record(self) -> dict[str, Any]:
-        """What the calibration report says."""
+        """Return what the calibration report says."""
         return {
             "strength": self.strength,
             "noise_covariance": [[float(value) for value in row] for row in self.noise.covariance],
@@ -70,7 +70,7 @@ def learn_shrinkage(
     samples: BallSamples,
     untouched: Sequence[Float32Array],
 ) -> DetailShrinkage | None:
-    """The strongest allowed shrinkage of a calibration's frames; None where their noise cannot be told.
+    """Return the strongest allowed shrinkage of a calibration's frames; None where their noise cannot be measured.
 
     pressed : intensity and balls of each press
     samples : of these balls
@@ -89,13 +89,13 @@ def learn_shrinkage(
 
 
 def shrinkage_of(noise: FrameNoise, strength: float) -> Shrinkage:
-    """The shrinkage of a noise by a share of the recipe's strength."""
+    """Return the shrinkage of a noise by a share of the recipe's strength."""
     kept = (1.0 - strength * (1.0 - FINEST_KEPT), 0.0, 0.0)
     return noise.shrinkage([strength * threshold for threshold in THRESHOLD], kept)
 
 
 def keeps_detail(transfer: DetailTransfer) -> bool:
-    """Whether a transfer keeps what shrinkage may not cost."""
+    """Return True if a transfer keeps what shrinkage may not cost."""
     ridge_px = transfer.ridge_px[transfer.amplitude_deg.index(BOUND_DEG)]
     widest_px = max(WIDEST_RIDGE_PX, transfer.raw_ridge_px)
     return bool(np.isfinite(ridge_px) and ridge_px <= widest_px and transfer.at(BOUND_DEG, BOUND_PX) >= MIN_KEPT)
@@ -138,7 +138,7 @@ class DetailTransfer(msgspec.Struct, frozen=True):
     raw_ridge_px: float
 
     def at(self, amplitude_deg: float, wavelength_px: float) -> float:
-        """Share kept of a sinusoid that was measured."""
+        """Return the share kept of a sinusoid that was measured."""
         return self.kept[self.amplitude_deg.index(amplitude_deg)][self.wavelength_px.index(wavelength_px)]
 
 
@@ -159,7 +159,7 @@ class TransferBench:
         self._drawn = [noise.sample(side, rng) for _ in PLACES]
 
     def measure(self, shrinkage: Shrinkage) -> DetailTransfer:
-        """The transfer of a shrinkage."""
+        """Return the transfer of a shrinkage."""
         ridges = [self._ridge_px(amplitude, shrinkage) for amplitude in AMPLITUDES_DEG]
         return DetailTransfer(
             AMPLITUDES_DEG,
@@ -170,7 +170,7 @@ class TransferBench:
         )
 
     def _kept(self, amplitude_deg: float, wavelength_px: float, shrinkage: Shrinkage) -> float:
-        """Share of a sinusoid's amplitude that is kept."""
+        """Return the share of a sinusoid's amplitude that is kept."""
         wave = np.sin(2.0 * np.pi * (np.arange(_side()) - HALO_PX) / wavelength_px + 0.4)
         slope = np.tan(np.radians(amplitude_deg)) * wave
         seen, drawn = (self._read(slope, one) for one in (shrinkage, None))
@@ -178,7 +178,7 @@ class TransferBench:
         return float((seen @ template).sum() / (drawn @ template).sum())
 
     def _ridge_px(self, amplitude_deg: float, shrinkage: Shrinkage | None) -> float:
-        """Mean width of a ridge on and between pixels."""
+        """Return the mean width of a ridge on and between pixels."""
         widths = []
         for offset in (0.0, 0.5):
             across = np.arange(_side()) - _side() // 2 - offset
@@ -189,7 +189,7 @@ class TransferBench:
         return float(np.mean(widths))
 
     def _read(self, slope: Float64Array, shrinkage: Shrinkage | None) -> Float64Array:
-        """Slopes that are read of a profile, one row a place: float64 array of shape (places, TILE_PX).
+        """Return slopes that are read of a profile, one row a place: float64 array of shape (places, TILE_PX).
 
         slope : float64 array of shape (TILE_PX + 2 HALO_PX,)
         shrinkage : None reads without noise
@@ -207,7 +207,7 @@ class TransferBench:
         return np.stack(found)
 
     def _slope_of_colour(self, place: tuple[float, float]) -> Float64Array:
-        """Factors that turn changes of colour into slopes: float64 array of shape (3, 2), by generalised least
+        """Return factors that turn changes of colour into slopes: float64 array of shape (3, 2), by generalised least
         squares."""
         change = self._colour.change(place)
         weighed = np.linalg.solve(self._noise.covariance, change)
@@ -229,7 +229,8 @@ def _side() -> int:
 
 
 def _width_px(slope: Float64Array) -> float:
-    """Width at half height of what a profile of slopes rises to and falls from, summed over fourth-order edges."""
+    """Return the width at half height of what a profile of slopes rises to and falls from, summed over fourth-order
+    edges."""
     edges = (9.0 * (slope[1:-2] + slope[2:-1]) - (slope[:-3] + slope[3:])) / 16.0
     heights = np.concatenate([[0.0], np.cumsum(edges)])
     heights -= np.linspace(heights[0], heights[-1], len(heights))

@@ -54,11 +54,11 @@ class FrameNoise:
         return np.stack([root / np.sqrt(ratio) for ratio in self.ratios]).astype(np.float32)
 
     def shrinkage(self, threshold: Sequence[float], kept: Sequence[float]) -> Shrinkage:
-        """The shrinkage of this noise; thresholds and shares kept by level."""
+        """Return the shrinkage of this noise; thresholds and shares kept by level."""
         return Shrinkage(self.whitening(), np.array(threshold, np.float32), np.array(kept, np.float32))
 
     def sample(self, shape: tuple[int, int], rng: np.random.Generator) -> Float32Array:
-        """Noise of the root of intensity: float32 array of shape (H, W, 3).
+        """Return the noise of the root of intensity: float32 array of shape (H, W, 3).
 
         White noise, each level of it so much louder that the sum's own levels have this noise's variance; what is
         smoother than the coarsest is left out.
@@ -79,7 +79,7 @@ class FrameNoise:
 def measure_noise(
     pressed: Iterable[tuple[NormalizedImage, Sequence[Ball]]], untouched: Sequence[Float32Array]
 ) -> FrameNoise | None:
-    """The noise of frames, None where balls show too few pixels.
+    """Return the noise of frames, None where balls show too few pixels.
 
     pressed : intensity and balls of each press; the finest detail inside their contacts is noise but for a few pixels
     untouched : intensities of shape (H, W, 3) of frames that show untouched skin on most of their area
@@ -93,7 +93,7 @@ def measure_noise(
 
 
 def _finest_details(image: NormalizedImage, ball: Ball) -> Float32Array:
-    """The finest detail (N, 3) at the faithful pixels inside a ball's contact."""
+    """Return the finest detail (N, 3) at the faithful pixels inside a ball's contact."""
     row, column = pixels_inside(ball, image.shape)
     known = image.faithful_at((row, column))
     if not known.any():
@@ -106,12 +106,12 @@ def _finest_details(image: NormalizedImage, ball: Ball) -> Float32Array:
 
 
 def root_of(values: Float32Array) -> Float32Array:
-    """Root of intensity, of the same shape."""
+    """Return the root of intensity, of the same shape."""
     return np.sqrt(np.maximum(values, np.float32(0.0)))
 
 
 def robust_covariance(details: Float32Array) -> Float64Array:
-    """Covariance (3, 3) of the finest details (N, 3), edges and dust left aside."""
+    """Return the covariance (3, 3) of the finest details (N, 3), edges and dust left aside."""
     sample = details.astype(np.float64)
     scale = np.maximum(np.median(np.abs(sample), axis=0) * 1.4826, np.sqrt(MIN_VARIANCE))
     covariance = np.diag(scale**2)
@@ -125,7 +125,7 @@ def robust_covariance(details: Float32Array) -> Float64Array:
 
 
 def _level_ratios(images: Sequence[Float32Array], covariance: Float64Array) -> Float64Array:
-    """Variance of the noise at each level relative to the finest with its leak."""
+    """Return the variance of the noise at each level relative to the finest with its leak."""
     whitening = np.linalg.cholesky(np.linalg.inv(covariance)).T.astype(np.float32)
     inner = (slice(HALO_PX, -HALO_PX), slice(HALO_PX, -HALO_PX))
     medians = []

@@ -1,7 +1,7 @@
 """The null colour: the change of three colours that no slope makes, and what noise along it does to slopes.
 
 Colours of a surface lie on a surface of their own: two slopes move them in two directions, noise in three. A map that
-was taught with colours without noise reads slopes in those two directions; what it makes of the third is chance. So
+was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So
 what shrinkage took out of a pixel is asked how far it goes along the third direction, and the slope that noise of such
 a colour has on the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel
 by itself. Detail of the surface has nothing along that direction, and stays.
@@ -58,7 +58,7 @@ class NullColour:
     limit: float
 
     def noise(self, u: Float64Array, place: Float64Array, change: Float32Array) -> Float64Array:
-        """Stereographic slopes (N, 2) that are noise.
+        """Return the stereographic slopes (N, 2) that are noise.
 
         u : float64 array of shape (N, 2), stereographic slopes as read
         place : float64 array of shape (N, 2), position variables
@@ -71,7 +71,7 @@ class NullColour:
     def read(
         self, inverse_map: InverseMap, seen: Float32Array, shrunk: Float32Array, column: Float32Array, row: Float32Array
     ) -> Float64Array:
-        """Slopes of shape (N, 2) of single pixels at full-size coordinates, less the noise.
+        """Return slopes of shape (N, 2) of single pixels at full-size coordinates, less the noise.
 
         seen, shrunk : float32 arrays of shape (N, 3), intensities as seen and with their noise shrunk
         """
@@ -81,8 +81,8 @@ class NullColour:
 
 
 def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: FrameNoise) -> NullColour | None:
-    """The null colour of a map, for noise of its frames; None where balls show too little, noise is zero, or slopes
-    would change.
+    """Return the null colour of a map, for noise of its frames; None where balls show too little, noise is zero, or
+    slopes would change.
 
     samples : of a calibration's balls, their noise shrunk
     """
@@ -116,7 +116,7 @@ def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: Fram
 
 
 def _terms(u: Float64Array, place: Float64Array) -> Float64Array:
-    """Terms of slope times terms of place: float64 array of shape (N, 9)."""
+    """Return terms of slope times terms of place: float64 array of shape (N, 9)."""
     by_slope, by_place = (np.column_stack([np.ones(len(u)), one]) for one in (u, place))
     return np.asarray((by_slope[:, :, None] * by_place[:, None, :]).reshape(len(u), -1))
 
@@ -132,7 +132,7 @@ def _by_terms(coefficients: Float64Array) -> Float32Array:
 
 
 def _unmoved(terms: Float64Array, price: Float64Array, normal: Float64Array) -> Float64Array:
-    """Coefficients (9, 3) whose sum with terms (N, 9) is along normals (N, 3), however long."""
+    """Return coefficients (9, 3) whose sum with terms (N, 9) is along normals (N, 3), however long."""
     from scipy.linalg import eigh  # here, because only calibrating needs it
 
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -175,7 +175,7 @@ class SlopeColour:
 
     @classmethod
     def of(cls, samples: BallSamples, shape: tuple[int, int]) -> SlopeColour:
-        """The colours that samples of balls on a full-size field of `shape` (H, W) show."""
+        """Return the colours that samples of balls on a full-size field of `shape` (H, W) show."""
         part = slice(None, None, max(1, len(samples.p) // MAX_SLOPE_SAMPLES))
         place = field_position(samples.column[part].astype(np.float64), samples.row[part].astype(np.float64), shape)
         slope = stereographic_from_slope(samples.p[part].astype(np.float64), samples.q[part].astype(np.float64))
@@ -185,7 +185,7 @@ class SlopeColour:
         return cls(np.asarray(np.linalg.solve(gram, features.T @ root)))
 
     def root(self, p: Float64Array, q: Float64Array, place: tuple[float, float]) -> Float32Array:
-        """Root of intensity (h, w, 3) of slopes (h, w) at one place, two position variables."""
+        """Return the root of intensity (h, w, 3) of slopes (h, w) at one place, two position variables."""
         slope = stereographic_from_slope(p.ravel(), q.ravel())
         features = _features(slope, np.broadcast_to(np.array(place), (p.size, 2)))
         return np.asarray((features @ self.coefficients).reshape(*p.shape, 3), np.float32)

@@ -1,4 +1,4 @@
-"""What the frames' noise does to slopes, raw and shrunk, by tilt, and how much of it a height map keeps.
+"""Noise of slopes, raw and shrunk, by tilt, and the share of it that a height map keeps.
 
 Raw noise is correlated where it comes from pigment, demosaicing or compression, and shrunk noise always is: a height
 map keeps another share of it than of white noise. Both shares are measured on a tile of drawn noise.
@@ -41,7 +41,7 @@ def measure_slope_noise(
     *,
     demosaiced: bool = False,
 ) -> SlopeNoise:
-    """The noise of slopes that a map reads at the places and colours of a calibration's samples.
+    """Return the noise of slopes that a map reads at the places and colours of a calibration's samples.
 
     null_colour : takes part of it off the slopes of raw frames
     demosaiced : as of `LinearFrame`
@@ -79,7 +79,8 @@ def _angles_deg(
     null_colour: NullColour | None,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Standard deviation of the normal's angle, either component, that raw and shrunk noise cause at samples.
+    """Return the standard deviation of the normal's angle, either component, that raw and shrunk noise cause at
+    samples.
 
     drawn : float32 arrays of shape (M, 3), both noises of the same pixels
     """
@@ -103,7 +104,8 @@ def _read(
     place: tuple[Float32Array, Float32Array],
     null_colour: NullColour | None,
 ) -> Float64Array:
-    """Slopes (N, 2) of intensities (N, 3) at columns and rows, less what the null colour tells of their noise."""
+    """Return slopes (N, 2) of intensities (N, 3) at columns and rows, less what the null colour shows of their
+    noise."""
     if null_colour is None:
         return inverse_map.predict(seen, *place)
     return null_colour.read(inverse_map, seen, shrunk, *place)
@@ -115,7 +117,7 @@ def _slopes_of_flat_skin(
     shrunk: Float32Array,
     null_colour: NullColour | None,
 ) -> Float32Array:
-    """Slopes of a tile (H, W, 2) that noise (H, W, 3) causes on flat skin in the middle of the field, of mean 0.
+    """Return slopes of a tile (H, W, 2) that noise (H, W, 3) causes on flat skin in the middle of the field, of mean 0.
 
     shrunk, null_colour : what is left of that noise when it is shrunk, and what takes part of it off slopes
     """
@@ -128,7 +130,7 @@ def _slopes_of_flat_skin(
 
 
 def _in_height_map(slopes: Float32Array, blur_px: float) -> tuple[float, float]:
-    """Noise of a height map of a tile of flat skin whose slopes, shape (H, W, 2), are noise.
+    """Return the noise of a height map of a tile of flat skin whose slopes, shape (H, W, 2), are noise.
 
     Its slopes' share of the noise of slopes as they were read, and its heights' over its slopes', pixels; only what is
     finer than the split of raw from shrunk detail counts among heights.

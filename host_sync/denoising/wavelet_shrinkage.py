@@ -68,7 +68,7 @@ MIN_ENERGY: Final = np.float32(1e-12)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shrinkage:
-    """How detail is shrunk.
+    """Parameters of the shrinkage of detail.
 
     whitening : float32 array of shape (3, 3, 3), one upper-triangular matrix W a level: |W d|² / 3 averages 1 on noise
     threshold : float32 array of shape (3,), λ of each level: 1 - (λ / energy)² of the detail is kept
@@ -96,18 +96,19 @@ def detail_planes(root: Float32Array, levels: int = LEVELS) -> tuple[list[Float3
 
 
 def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
-    """Energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
+    """Return the energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
     whitened = detail @ whitening.T
     return np.asarray((whitened * whitened).sum(axis=-1) / np.float32(3.0), np.float32)
 
 
 def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
-    """What speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
+    """Return what speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
     return np.asarray(np.maximum(energy, np.float32(PARENT_SHARE) * coarser), np.float32)
 
 
 def directional_energy(energy: Float32Array) -> Float32Array:
-    """The largest mean of energy along five pixels in four directions: float32 array of the shape of `energy`."""
+    """Return the largest mean of energy along five pixels in four directions: float32 array of the shape of
+    `energy`."""
     best = np.full(energy.shape, MIN_ENERGY, np.float32)
     for down, across in DIRECTIONS:
         total = energy.copy()
@@ -129,7 +130,7 @@ def _smoothed(image: Float32Array, hole: int, axis: int) -> Float32Array:
 
 
 def _moved(image: Any, down: int, across: int) -> Any:
-    """The image moved by whole pixels; beyond the border the outermost pixels repeat."""
+    """Return the image moved by whole pixels; beyond the border the outermost pixels repeat."""
     rows = np.clip(np.arange(image.shape[0]) + down, 0, image.shape[0] - 1)
     columns = np.clip(np.arange(image.shape[1]) + across, 0, image.shape[1] - 1)
     return image[rows][:, columns]
@@ -157,7 +158,7 @@ _CONTRACT: Final = {"contract", "nsz"}
 
 
 def shrink(image: NormalizedImage, shrinkage: Shrinkage, out: NormalizedImage | None = None) -> NormalizedImage:
-    """The image with its noise shrunk, in the pixels of `out` when it is given; validity and clipping stay."""
+    """Return the image with its noise shrunk, in the pixels of `out` when it is given; validity and clipping stay."""
     values = empty_planes(image.shape) if out is None else out.values
     parallel_rows(
         _shrink_rows, image.shape, *as_stored(image.values), np.moveaxis(values, -1, 0),
@@ -273,7 +274,7 @@ def _hear_parent(coarser: Any, size: int, energy: Any) -> None:
 
 @njit(cache=True)
 def _beyond(level: int) -> int:
-    """The plane that a level's leak is taken from; for the coarsest its own rest, so that it keeps its leak."""
+    """Return the plane that a level's leak is taken from; for the coarsest its own rest, so that it keeps its leak."""
     return min(level + 2, LEVELS)
 
 
@@ -346,7 +347,7 @@ CELL_PX: Final = 4
 
 
 def shrink_but_long_waves(image: NormalizedImage, shrinkage: Shrinkage) -> NormalizedImage:
-    """The image (H, W, 3) with the noise of its detail shrunk; validity and clipping stay."""
+    """Return the image (H, W, 3) with the noise of its detail shrunk; validity and clipping stay."""
     shrunk = shrink(image, shrinkage)
     rows, columns = image.shape
     cells = (max(columns // CELL_PX, 1), max(rows // CELL_PX, 1))

@@ -35,7 +35,8 @@ DPI: Final = 130
 def frames_to_draw(
     name: str | None, library: Library | None, calibrator: Calibrator
 ) -> tuple[CalibrationFrames, Calibration]:
-    """Frames of the frame set at that path, or of a library's calibration (the latest), and the calibration they carry.
+    """Return frames of the frame set at that path, or of a library's calibration (the latest), and the calibration they
+    carry.
 
     Raises
     ------
@@ -140,7 +141,7 @@ class BallError:
 def held_out_ball_errors(
     frames: CalibrationFrames, calibration: Calibration, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[BallError, ...]:
-    """Errors by every method for a typical ball (median held-out error), which is left out of the calibration.
+    """Return errors by every method for a typical ball (median held-out error), which is left out of the calibration.
 
     calibration : made from all frames; its ball centres are taken as true
 
@@ -173,7 +174,7 @@ def _typical_ball(calibration: Calibration) -> tuple[int, Ball]:
 def _truth(
     ball: Ball, column: Float32Array, row: Float32Array, pitch_um: float
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Slopes over pixels and height (µm, zero anywhere) of the sphere that pixels see, arrays of their shape."""
+    """Return slopes over pixels and height (µm, zero anywhere) of the sphere that pixels see, arrays of their shape."""
     p, q = sphere_slopes(ball, column, row)
     if ball.viewpoint is None:
         squared = (column - ball.column) ** 2 + (row - ball.row) ** 2
@@ -233,7 +234,7 @@ _CAPTION: Final = (
 
 
 def ball_error_figure(errors: Sequence[BallError]) -> Figure:
-    """One column per method: height error above, angular error below."""
+    """Return one column per method: height error above, angular error below."""
     figure = Figure(figsize=(4.6 * len(errors) + 1.6, 9.9), layout="constrained")
     grid = figure.subplots(2, len(errors), squeeze=False, sharex=True, sharey=True)
     for column, error in enumerate(errors):
@@ -278,7 +279,7 @@ def _draw(axes: Axes, error: BallError, values: Float32Array) -> Any:
 
 
 def _smoothed(error: BallError, values: Float32Array) -> Float32Array:
-    """Gaussian mean over the contact, so that curves show the shape of the error without its noise."""
+    """Return gaussian mean over the contact, so that curves show the shape of the error without its noise."""
     sigma_px = max(CURVE_BLUR_FRACTION * max(values.shape), 0.8)
     weight = cv2.GaussianBlur(error.inside.astype(np.float32), (0, 0), sigma_px)
     total = cv2.GaussianBlur(np.where(error.inside, values, np.float32(0.0)), (0, 0), sigma_px)
@@ -301,5 +302,5 @@ def _fractions_within(values: Float32Array, unit: str) -> str:
 
 
 def _short(press: str) -> str:
-    """A press's name without the folders of its file."""
+    """Return a press's name without the folders of its file."""
     return f"{press.split(' (')[0]} ({Path(press.split(' (')[1].rstrip(')')).name})" if " (" in press else press

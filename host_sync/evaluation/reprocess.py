@@ -43,7 +43,7 @@ class Comparison:
 
 
 def reprocess(library: Library, job: LibraryReconstructor, scan: ScanBundle) -> list[Comparison]:
-    """One comparison for each result folder of a scan.
+    """Return one comparison for each result folder of a scan.
 
     Results of this version are not changed; results of other versions get this version's beside them.
 
@@ -72,7 +72,7 @@ def reprocess(library: Library, job: LibraryReconstructor, scan: ScanBundle) -> 
 
 
 def compare(stored: Path, fresh: Path) -> list[str]:
-    """Differences between two result folders, one sentence each.
+    """Return differences between two result folders, one sentence each.
 
     Raises
     ------

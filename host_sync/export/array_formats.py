@@ -102,7 +102,7 @@ def write_png_scale(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def png_scale(surface: SourceSurface) -> dict[str, Any]:
-    """Scale of the picture: `height_um = height_at_0_um + grey * height_step_um`, grey 0 is invalid."""
+    """Return the scale of the picture: `height_um = height_at_0_um + grey * height_step_um`, grey 0 is invalid."""
     lowest, highest = float(np.nanmin(surface.z_um)), float(np.nanmax(surface.z_um))
     step_um = (highest - lowest) / (TOP - 1) or 1e-6
     return {

@@ -38,7 +38,7 @@ def write_csv_profile(file: BinaryIO, surface: SourceSurface, line_um: LineUm | 
 
 
 def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance (µm), row and column of the pixels nearest to a line, one per step of its longer direction.
+    """Return the distance (µm), row and column of the pixels nearest to a line, one per step of its longer direction.
 
     Raises
     ------
@@ -70,5 +70,5 @@ def pixels_on_line(surface: SourceSurface, line_um: LineUm | None) -> tuple[np.n
 
 
 def _nine(value: float) -> float:
-    """The number to nine digits."""
+    """Return the number to nine digits."""
     return float(f"{value:.9g}")

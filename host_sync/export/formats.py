@@ -74,7 +74,7 @@ FORMATS: Final = {
 
 
 def load(writer: str) -> Callable[..., None]:
-    """The function that a format names."""
+    """Return the function that a format names."""
     module, _, function = writer.partition(":")
     loaded: Callable[..., None] = getattr(import_module(f"host_sync.export.{module}"), function)
     return loaded

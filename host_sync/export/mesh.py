@@ -42,7 +42,7 @@ class Mesh:
     doubtful: str = ""
 
     def places(self, scale: float) -> Iterator[Float32Array]:
-        """Positions of the vertices in order, in blocks: float32 arrays of shape (N, 3), µm times `scale`."""
+        """Yield positions of the vertices in order, in blocks: float32 arrays of shape (N, 3), µm times `scale`."""
         rows, columns = self.z_um.shape
         across = np.arange(columns) * (self.pitch_um * scale)
         for first in range(0, rows, ROWS):
@@ -52,7 +52,8 @@ class Mesh:
             yield grid[np.isfinite(z)].astype(np.float32)
 
     def normals(self) -> Iterator[Float32Array]:
-        """Unit normals of the vertices in order, float32 arrays of shape (N, 3); slopes beside a hole are one-sided."""
+        """Yield the unit normals of the vertices in order, float32 arrays of shape (N, 3); slopes beside a hole are
+        one-sided."""
         rows = self.z_um.shape[0]
         for first in range(0, rows, ROWS):
             last = min(first + ROWS, rows)
@@ -72,7 +73,7 @@ class Mesh:
 
 
 def grid_mesh(surface: SourceSurface, step: int | None) -> Mesh:
-    """A mesh of every `step`-th row and column, heights not interpolated.
+    """Return a mesh of every `step`-th row and column, heights not interpolated.
 
     step : None takes every pixel and refuses a field that has too many
 
@@ -115,7 +116,8 @@ def check_mesh_size(surface: SourceSurface, step: int | None) -> None:
 
 
 def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Two triangles for each square of four vertices, int32 array of shape (N, 3); -1 where there is no vertex."""
+    """Return two triangles for each square of four vertices, int32 array of shape (N, 3); -1 where there is no
+    vertex."""
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     # If a or d is invalid, the other diagonal keeps one triangle.
     other = (a < 0) | (d < 0)
@@ -125,7 +127,7 @@ def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _slopes(z_um: Float32Array, axis: int, pitch_um: float) -> Float32Array:
-    """Slopes along an axis: central differences, one-sided beside invalid pixels, 0 without a neighbour."""
+    """Return slopes along an axis: central differences, one-sided beside invalid pixels, 0 without a neighbour."""
     step = np.diff(z_um, axis=axis) / np.float32(pitch_um)
     edge = np.full_like(np.take(z_um, [0], axis), np.nan)
     sides = np.stack([np.concatenate([edge, step], axis), np.concatenate([step, edge], axis)])
@@ -150,7 +152,8 @@ MAX_BASE_MM: Final = 1000.0
 
 
 def solid(mesh: Mesh, base_mm: float) -> tuple[Float32Array, NDArray[np.int32]]:
-    """Places of the vertices, mm, float32 array of shape (N, 3), and vertex numbers of the triangles, shape (M, 3).
+    """Return places of the vertices, mm, float32 array of shape (N, 3), and vertex numbers of the triangles, shape (M,
+    3).
 
     Every edge belongs to exactly two triangles. Where two holes touch at a corner, the triangles around it are left
     out.
@@ -192,7 +195,7 @@ def _border(corners: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def blocks(faces: NDArray[np.int32], size: int = 65_536) -> Iterator[NDArray[np.int32]]:
-    """The triangles in blocks, which bounds memory."""
+    """Yield the triangles in blocks, which bounds memory."""
     for first in range(0, len(faces), size):
         yield faces[first : first + size]
 
@@ -299,7 +302,7 @@ def write_glb(file: BinaryIO, mesh: Mesh, name: str) -> None:
 
 
 def _record(mesh: Mesh, name: str, low: list[float], high: list[float]) -> dict[str, Any]:
-    """The JSON chunk."""
+    """Return the JSON chunk."""
     sizes = [mesh.vertices * PLACE_BYTES, mesh.vertices * NORMAL_BYTES, mesh.vertices * COLOUR_BYTES]
     sizes.append(mesh.triangles * TRIANGLE_BYTES)
     starts = [sum(sizes[:number]) for number in range(len(sizes))]

@@ -59,7 +59,7 @@ class SourceSurface:
 
 
 def read_surface(folder: Path) -> SourceSurface:
-    """The surface of a result folder.
+    """Return the surface of a result folder.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def read_surface(folder: Path) -> SourceSurface:
 
 
 def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
-    """The surface with NaN as the only marker of invalid pixels.
+    """Return the surface with NaN as the only marker of invalid pixels.
 
     Raises
     ------
@@ -108,17 +108,17 @@ def checked_surface(surface: SourceSurface, source: Path) -> SourceSurface:
 
 
 def doubts_path(path: Path) -> Path:
-    """The text file beside a surface's file whose format has no room for the doubts."""
+    """Return the text file beside a surface's file whose format has no room for the doubts."""
     return path.with_name(f"{path.name}.doubts.txt")
 
 
 def one_line(text: str) -> str:
-    """The text with blanks for unprintable characters, so that it stays on one header line."""
+    """Return the text with blanks for unprintable characters, so that it stays on one header line."""
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
 def ascii_line(text: str) -> bytes:
-    """The text in ASCII, for formats without an encoding: accents are removed, other characters become `?`."""
+    """Return the text in ASCII, for formats without an encoding: accents are removed, other characters become `?`."""
     plain = "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return plain.encode("ascii", "replace")
 
@@ -129,7 +129,7 @@ ROWS: Final = 64
 def row_blocks(
     field_um: Float32Array, factor: float, kind: DTypeLike, invalid: float = np.nan, padding: int = 0
 ) -> Iterator[bytes]:
-    """The bytes of `field_um` times `factor`, row by row from the top.
+    """Yield the bytes of `field_um` times `factor`, row by row from the top.
 
     field_um : float32 array of shape (H, W), NaN where invalid
     kind : number format of the file; integers are rounded
@@ -152,6 +152,6 @@ def row_blocks(
 
 
 def integer_quantum(field_um: Float32Array) -> float:
-    """Step (µm, exact in float32) at which the highest valid value has about 2³⁰ steps."""
+    """Return the step (µm, exact in float32) at which the highest valid value has about 2³⁰ steps."""
     highest = max(float(np.nanmax(field_um)), -float(np.nanmin(field_um)))
     return float(np.float32(highest / 2**30)) if highest > 1e-20 else 1e-9

@@ -65,14 +65,14 @@ def export_surface(
 
 
 def file_stem(name: str) -> str:
-    """A portable file name: letters, digits and a few signs, not hidden, without folders."""
+    """Return a portable file name: letters, digits and a few signs, not hidden, without folders."""
     kept = "".join(letter if letter.isalnum() or letter in PERMITTED else "_" for letter in name)
     kept = kept.encode()[:MAX_NAME].decode(errors="ignore").strip(". ") or "height"
     return f"_{kept}" if kept.partition(".")[0].lower() in DEVICE_NAMES or kept.startswith("-") else kept
 
 
 def _writers(surface: SourceSurface, name: str, choices: ExportChoices) -> dict[str, Writer]:
-    """Suffix and writer of each file of a format, once options and sizes are checked."""
+    """Return the suffix and writer of each file of a format, once options and sizes are checked."""
     form = FORMATS[name]
     suffix = f".{form.suffix or name}"
     options: tuple[Any, ...] = ()
@@ -103,7 +103,7 @@ def _call(write: Callable[..., None], subject: object, rest: tuple[Any, ...], fi
 
 
 def _sigma_of(surface: SourceSurface) -> SourceSurface:
-    """The uncertainty as a surface of its own.
+    """Return the uncertainty as a surface of its own.
 
     Raises
     ------

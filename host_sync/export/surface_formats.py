@@ -257,7 +257,7 @@ def _heights(surface: SourceSurface) -> Iterator[bytes]:
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    """A zip entry with a fixed time, so that the same surface gives the same bytes."""
+    """Return a zip entry with a fixed time, so that the same surface gives the same bytes."""
     entry = zipfile.ZipInfo(name)
     entry.compress_type = zipfile.ZIP_DEFLATED
     return entry
@@ -324,7 +324,7 @@ class _Field:
         self.size = len(self._head) + 8 * values_um.size
 
     def blocks(self) -> Iterator[bytes]:
-        """The component's bytes."""
+        """Yield the component's bytes."""
         yield self._head
         if self._is_mask:
             # 0 for valid pixels, 1 for invalid ones.

@@ -51,7 +51,8 @@ def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def read_tmd(path: Path) -> SourceSurface:
-    """The height map of a TMD file of version 2, with the name of the file and the doubts that it was written with.
+    """Return the height map of a TMD file of version 2, with the name of the file and the doubts that it was written
+    with.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def read_tmd(path: Path) -> SourceSurface:
 
 
 def _doubts_beside(path: Path) -> tuple[str, ...]:
-    """The doubts in the text file beside a marked file; one that names the mark where there is none."""
+    """Return the doubts in the text file beside a marked file; one that names the mark where there is none."""
     try:
         text = doubts_path(path).read_bytes()[:MAX_DOUBTS_BYTES].decode(errors="replace")
     except OSError:

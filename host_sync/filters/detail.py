@@ -37,7 +37,7 @@ class DetailBand:
 
 
 def detail(height: HeightMap, band: DetailBand) -> HeightMap:
-    """The height map between the band's nesting indices, NaN where the height map is invalid."""
+    """Return the height map between the band's nesting indices, NaN where the height map is invalid."""
     from host_sync.filters.gaussian_regression import gaussian_mean  # compiled code, loaded when it is needed
 
     z_um = height.z_um if band.s_um is None else gaussian_mean(height.z_um, band.s_um / height.pitch_um)

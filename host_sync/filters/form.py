@@ -26,7 +26,7 @@ class FormRemoval(Protocol):
     """Removes the form of surfaces with one mask."""
 
     def remove(self, z_um: Float32Array) -> Float32Array:
-        """Heights above the form: float32 array of shape (H, W), NaN where invalid."""
+        """Return heights above the form: float32 array of shape (H, W), NaN where invalid."""
         ...
 
 
@@ -68,7 +68,7 @@ class PolynomialForm:
         self._check_determined()
 
     def remove(self, z_um: Float32Array) -> Float32Array:
-        """Heights above the polynomial: float32 array of shape (H, W), NaN where invalid."""
+        """Return heights above the polynomial: float32 array of shape (H, W), NaN where invalid."""
         level = np.float32(z_um[self._valid].mean(dtype=np.float64))
         filled = np.where(self._valid, z_um - level, np.float32(0.0))
         i, j = self._terms.T
@@ -82,7 +82,7 @@ class PolynomialForm:
         return filled
 
     def _moments(self, values: Float32Array | MaskArray, count: int) -> Float64Array:
-        """Sums of value times row^i column^j: float64 array of shape (count, count)."""
+        """Return sums of value times row^i column^j: float64 array of shape (count, count)."""
         total = np.zeros((count, count))
         for first in range(0, values.shape[0], ROWS_AT_ONCE):
             rows = slice(first, first + ROWS_AT_ONCE)

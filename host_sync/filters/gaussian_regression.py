@@ -50,7 +50,7 @@ class GaussianRegression:
         self._shares = self._plane_shares() if valid.any() else ()
 
     def mean(self, z: Float32Array) -> Float32Array:
-        """Gaussian mean at each valid pixel: float32 array of shape (H, W), NaN elsewhere.
+        """Return gaussian mean at each valid pixel: float32 array of shape (H, W), NaN elsewhere.
 
         z : float32 array of shape (H, W), finite where valid
         """
@@ -66,7 +66,7 @@ class GaussianRegression:
         return mean
 
     def _plane_shares(self) -> tuple[Float32Array, ...]:
-        """Factors on the three sums over heights that give the plane's value: arrays of shape (H, W)."""
+        """Return factors on the three sums over heights that give the plane's value: arrays of shape (H, W)."""
         powers = (*_MOMENTS, (2, 0), (1, 1), (0, 2))
         n, x, y, xx, xy, yy = self._sums(self._valid.astype(np.float32), powers)
         n = np.maximum(n, np.float32(1e-6))
@@ -77,7 +77,7 @@ class GaussianRegression:
         return np.where(spans, by_n * inverse, np.float32(1.0) / n), by_x * inverse, by_y * inverse
 
     def _sums(self, values: Float32Array, powers: tuple[tuple[int, int], ...]) -> list[Float32Array]:
-        """Sums of values times weight times x^across y^down around each pixel; zero beyond the border."""
+        """Return sums of values times weight times x^across y^down around each pixel; zero beyond the border."""
         reach = self._kernels[0].size // 2
         if reach <= MAX_DIRECT_PX:
             border = cv2.BORDER_CONSTANT
@@ -101,12 +101,12 @@ class GaussianRegression:
 
 
 def gaussian_mean(z: Float32Array, cutoff_px: float) -> Float32Array:
-    """Gaussian mean of the valid pixels with a cut-off in pixels: float32 array (H, W), NaN where `z` is NaN."""
+    """Return gaussian mean of the valid pixels with a cut-off in pixels: float32 array (H, W), NaN where `z` is NaN."""
     return GaussianRegression(np.isfinite(z), cutoff_px).mean(z)
 
 
 def _kernels(cutoff_px: float) -> tuple[Float64Array, ...]:
-    """Gaussian weights along one axis, and the same times x and x²; x in standard deviations."""
+    """Return gaussian weights along one axis, and the same times x and x²; x in standard deviations."""
     sigma_px = ALPHA * cutoff_px / np.sqrt(2.0 * np.pi)
     reach = max(int(np.ceil(REACH * sigma_px)), 1)
     x = np.arange(-reach, reach + 1) / sigma_px
@@ -116,7 +116,7 @@ def _kernels(cutoff_px: float) -> tuple[Float64Array, ...]:
 
 
 def _transfer(kernel: Float64Array, reach: int, size: int) -> NDArray[np.complex64]:
-    """Transfer function of a kernel, truncated at `reach`: complex64 array of shape (size,)."""
+    """Return the transfer function of a kernel, truncated at `reach`: complex64 array of shape (size,)."""
     centre = kernel.size // 2
     placed = np.zeros(size)
     placed[: reach + 1] = kernel[centre : centre + reach + 1]
@@ -131,7 +131,7 @@ _MIN_PROFILE_DETERMINANT = 1e-6
 
 
 def profile_mean(z_um: Float64Array, cutoff_samples: float) -> Float64Array:
-    """Gaussian mean line of the valid samples: float64 array of shape (N,), NaN where `z_um` is NaN."""
+    """Return gaussian mean line of the valid samples: float64 array of shape (N,), NaN where `z_um` is NaN."""
     sigma = ALPHA * cutoff_samples / np.sqrt(2.0 * np.pi)
     reach = max(int(np.ceil(REACH * sigma)), 1)
     x = np.arange(-reach, reach + 1) / sigma

@@ -1,4 +1,4 @@
-"""Whether a frame can have been made as its calibration was: same lights, gel, exposure and orientation.
+"""Checks that a frame was made as its calibration was: same lights, gel, exposure and orientation.
 
 Three things that any scan shows, whatever was pressed. Most of its light lies over the field as in the reference,
 not as in the reference turned or mirrored. Its colours are such as the balls showed. Its untouched skin reads 1.
@@ -91,7 +91,7 @@ def check_datum(intensity: NormalizedImage, at_rest: MaskArray, gain_sigma: floa
 
 
 def _turn(intensity: NormalizedImage, flat_field: Float32Array, step: int) -> str | None:
-    """The name of the turn under which the reference explains the frame far better, if there is one."""
+    """Return the name of the turn under which the reference explains the frame far better, if there is one."""
     # Rows and columns from both ends alike, so that a turned reference lies where the reference does.
     first = ((intensity.shape[0] - 1) % step // 2, (intensity.shape[1] - 1) % step // 2)
     every = (slice(first[0], None, step), slice(first[1], None, step))
@@ -106,7 +106,7 @@ def _turn(intensity: NormalizedImage, flat_field: Float32Array, step: int) -> st
 
 
 def _unexplained(difference: NDArray[np.float32]) -> float:
-    """Median distance of log light from its own median, mean over colours."""
+    """Return the median distance of log light from its own median, mean over colours."""
     centred = np.abs(difference - np.median(difference, axis=(0, 1)))
     return float(np.median(centred, axis=(0, 1)).mean())
 

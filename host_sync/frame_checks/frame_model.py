@@ -1,4 +1,4 @@
-"""What the frames of a calibration have in common, and whether another frame has it too.
+"""Properties that the frames of a calibration share, and their check on another frame.
 
 Limits are not chosen for a device: they are what the calibration's own presses show, each compared with the reference
 as a scan is, and a margin below which heights stay useful.
@@ -36,7 +36,7 @@ class FrameModel:
         flat_field: Float32Array,
         presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]],
     ) -> FrameModel:
-        """The model of a calibration.
+        """Return the model of a calibration.
 
         reference : frame of the untouched skin, None without one
         flat_field : float32 array of shape (H, W, 3), what frames are divided by
@@ -55,7 +55,7 @@ class FrameModel:
 
     @property
     def blind(self) -> tuple[str, ...]:
-        """What no frame of this calibration can be checked for, a sentence each."""
+        """Properties that cannot be checked on frames of this calibration, a sentence each."""
         found = []
         if not self.pattern.identifiable:
             found.append(
@@ -70,7 +70,8 @@ class FrameModel:
         return tuple(found)
 
     def check(self, intensity: NormalizedImage, flat_field: Float32Array) -> tuple[FrameCheck, ...]:
-        """Every check of a frame under the calibration's divisor, in the order in which reasons explain each other."""
+        """Return every check of a frame under the calibration's flat field, in the order in which reasons explain each
+        other."""
         cells = cell_logs(intensity)
         position, sharpness = self.pattern.check(intensity, flat_field)
         if position.outcome == "refused":

@@ -32,7 +32,7 @@ _ORDERS: Final = tuple(order for order in permutations(range(3)) if order != (0,
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What was exchanged in a frame, in words, and what is left unexplained with and without it (log light).
+    """An exchange of channels or sides in a frame, in words, and the residual with and without it (log light).
 
     turned : the sides, or the channels when False
     """
@@ -44,7 +44,7 @@ class Exchange:
 
 
 def find_exchanges(cells: Float32Array, rest: Float32Array, *, turns: bool) -> list[Exchange]:
-    """The exchanges that explain a frame clearly better than the reference as it is, best first.
+    """Return the exchanges that explain a frame clearly better than the reference as it is, best first.
 
     cells : float32 array of shape (h, w, 3), log intensity of the frame
     rest : the same shape, log light of the reference
@@ -69,12 +69,13 @@ def find_exchanges(cells: Float32Array, rest: Float32Array, *, turns: bool) -> l
 
 
 def hidden_turns(rest: Float32Array) -> list[Turn]:
-    """The turns that the light of a reference, float32 array of shape (h, w, 3), cannot tell: it looks the same."""
+    """Return the turns that the light of a reference, float32 array of shape (h, w, 3), cannot tell: it looks the
+    same."""
     return [turn for turn in turns_of(rest.shape) if median_deviation(turn.of(rest) - rest) < MIN_UNEXPLAINED]
 
 
 def _order_name(order: tuple[int, ...]) -> str:
-    """The order that a frame's channels have when taking them in `order` restores R, G, B."""
+    """Return the order that a frame's channels have when taking them in `order` restores R, G, B."""
     names = [""] * 3
     for place, channel in zip(order, "RGB", strict=True):
         names[place] = channel
@@ -97,14 +98,14 @@ class LayoutModel:
 
     @classmethod
     def of(cls, flat_field: Float32Array) -> LayoutModel:
-        """The layout of a reference, float32 array of shape (H, W, 3)."""
+        """Return the layout of a reference, float32 array of shape (H, W, 3)."""
         everywhere = np.ones(flat_field.shape[:2], np.bool_)
         lit = np.maximum(flat_field, np.float32(DARK_FLOOR))
         rest = cell_logs(NormalizedImage(np.asarray(lit, np.float32), everywhere, ~everywhere))
         return cls(rest, tuple(turn.name for turn in hidden_turns(rest)))
 
     def check(self, cells: Float32Array, *, pattern_seen: bool) -> FrameCheck:
-        """The check of a frame's log intensity in cells.
+        """Return the check of a frame's log intensity in cells.
 
         pattern_seen : the skin's pattern proves that the frame is not turned
         """
@@ -121,11 +122,11 @@ class LayoutModel:
         if others:
             words.append(others[0].name + " where the reference has R, G, B")
         ratio = found[0].left / found[0].as_given
-        told = (
+        detail = (
             f"{', or '.join(words)}: that leaves {ratio:.0%} of what it leaves unexplained as it is "
             f"(below {CLEARLY_BETTER:.0%} counts)"
         )
-        return FrameCheck(NAME, "refused", ratio, CLEARLY_BETTER, "of what is unexplained", told)
+        return FrameCheck(NAME, "refused", ratio, CLEARLY_BETTER, "of what is unexplained", detail)
 
 
 # The ways in which a whole frame can be turned or mirrored.
@@ -141,7 +142,7 @@ class Turn:
     columns_backwards: bool
 
     def of(self, field: NDArray[Any]) -> NDArray[Any]:
-        """A field of shape (H, W, ...) turned this way; every one but the quarter turns is its own inverse."""
+        """Return a field of shape (H, W, ...) turned this way; every one but the quarter turns is its own inverse."""
         turned = field.swapaxes(0, 1) if self.transposed else field
         return turned[:: -1 if self.rows_backwards else 1, :: -1 if self.columns_backwards else 1]
 
@@ -163,10 +164,10 @@ _QUARTERS = (
 
 
 def turns_of(shape: tuple[int, ...]) -> tuple[Turn, ...]:
-    """Every way that leaves a field of shape (H, W, ...) its shape, the untouched one excepted."""
+    """Return every way that leaves a field of shape (H, W, ...) its shape, the untouched one excepted."""
     return HALF_TURNS + (_QUARTERS if shape[0] == shape[1] else ())
 
 
 def median_deviation(field: NDArray[np.float32]) -> float:
-    """Mean over channels of the median absolute deviation from one median, field of shape (H, W, 3)."""
+    """Return the mean over channels of the median absolute deviation from one median, field of shape (H, W, 3)."""
     return float(np.median(np.abs(field - np.median(field)), axis=(0, 1)).mean())

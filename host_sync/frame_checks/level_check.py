@@ -42,7 +42,7 @@ def check_light(light: FrameLight) -> tuple[FrameCheck, ...]:
     """Return the checks of the light of a frame whose untouched skin shows it."""
     found = []
     for name, value, limit, unit, what in (
-        ("lamp drift", light.change, MAX_CHANGE, "relative", "its lights differ from the calibration's by"),
+        ("light drift", light.change, MAX_CHANGE, "relative", "its lights differ from the calibration's by"),
         ("stray light", light.stray, MAX_STRAY, "of full scale", "light of the surroundings is, of full scale,"),
     ):
         refused = value > limit
@@ -53,7 +53,7 @@ def check_light(light: FrameLight) -> tuple[FrameCheck, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelModel:
-    """What levels the calibration's own presses show.
+    """Levels of the calibration's own presses.
 
     low, high : float64 arrays of shape (3,), log levels that are allowed
     common : lowest and highest allowed mean of the three
@@ -67,7 +67,7 @@ class LevelModel:
 
     @classmethod
     def of(cls, presses: Sequence[Float32Array], response: SlopeResponse | None) -> LevelModel:
-        """The model from log intensity of each press in cells."""
+        """Return the model from log intensity of each press in cells."""
         seen = [sights[0].levels for cells in presses if (sights := _sights(cells, response))]
         levels = np.array([np.zeros(3), *seen])
         spread = levels[1:].std(axis=0) if len(seen) > 1 else np.zeros(3)
@@ -86,17 +86,19 @@ class LevelModel:
         return max(-self.common[0], self.common[1])
 
     def check(self, cells: Float32Array) -> FrameCheck:
-        """The check of a frame's log intensity in cells."""
+        """Return the check of a frame's log intensity in cells."""
         sights = _sights(cells, self.response)
         if not sights:
-            return not_checked(NAME, "no untouched skin is seen, and the calibration does not tell slopes from levels")
+            return not_checked(
+                NAME, "no untouched skin is seen, and the calibration does not distinguish slopes from levels"
+            )
         largest = sights[0]
         reach = self._reach(largest)
         if reach > MAX_REACH:
             return not_checked(
                 NAME,
-                f"a change of the lights below {np.expm1(reach):.0%} cannot be told from how the calibration's presses "
-                f"differ{'' if largest.untouched else ' and what is pressed'}",
+                f"a change of the lights below {np.expm1(reach):.0%} cannot be distinguished from how the "
+                f"calibration's presses differ{'' if largest.untouched else ' and what is pressed'}",
             )
         cleared = any(
             self._is_allowed(other) and other.untouched > SECOND_LARGEST * largest.untouched for other in sights[1:]
@@ -107,7 +109,7 @@ class LevelModel:
         return self._refusal(largest)
 
     def _is_allowed(self, sight: LevelSight) -> bool:
-        """Whether levels lie within `SIGMAS` standard deviations of the allowed ones."""
+        """Return True if levels lie within `SIGMAS` standard deviations of the allowed ones."""
         if self._excess_of_common(sight) > SIGMAS:
             return False
         root = np.linalg.cholesky(np.linalg.inv(sight.covariance)).T
@@ -120,13 +122,14 @@ class LevelModel:
         return bool(np.sqrt(2.0 * fit.cost) <= SIGMAS)
 
     def _excess_of_common(self, sight: LevelSight) -> float:
-        """Distance of the mean of the three levels from the allowed ones, standard deviations."""
+        """Return the distance of the mean of the three levels from the allowed ones, standard deviations."""
         mean = float(sight.levels.mean())
         beyond = max(self.common[0] - mean, mean - self.common[1], 0.0)
         return beyond / float(np.sqrt(sight.covariance.mean()))
 
     def _is_tilt(self, cells: Float32Array, sight: LevelSight) -> bool:
-        """Whether levels that are not allowed may come from a flat object that lies tilted under the whole field."""
+        """Return True if levels that are not allowed may come from a flat object that lies tilted under the whole
+        field."""
         if self.response is None:
             return False
         answer = self.response.terms[0]
@@ -136,12 +139,12 @@ class LevelModel:
         return self._is_allowed(pressed_levels(cells, self.response))
 
     def _reach(self, sight: LevelSight) -> float:
-        """Largest log change of all lights together that could pass."""
+        """Return the largest log change of all lights together that could pass."""
         sigma = float(np.sqrt(sight.covariance.mean()))
         return self.reach + SIGMAS * sigma
 
     def _refusal(self, sight: LevelSight) -> FrameCheck:
-        """What is wrong in words: all lights, or the one that differs most."""
+        """Return what is wrong in words: all lights, or the one that differs most."""
         levels = sight.levels
         where = "its untouched skin" if sight.untouched else "its light"
         mean = float(levels.mean())
@@ -160,7 +163,7 @@ class LevelModel:
 
 
 def _sights(cells: Float32Array, response: SlopeResponse | None) -> list[LevelSight]:
-    """What is seen of the levels: of untouched skin, else by the fit; empty where neither is possible."""
+    """Return what is seen of the levels: of untouched skin, else by the fit; empty where neither is possible."""
     found = untouched_levels(cells)
     if not found and response is not None:
         found = [pressed_levels(cells, response)]
@@ -216,7 +219,7 @@ class LightPositionModel:
 
     @classmethod
     def of(cls, rest: Float32Array, presses: list[Float32Array], columns: int) -> LightPositionModel:
-        """The model from log light of the reference in cells (h, w, 3) and the presses' log intensity."""
+        """Return the model from log light of the reference in cells (h, w, 3) and the presses' log intensity."""
         cell_px = columns / rest.shape[1]
         gradient = np.stack([np.gradient(rest, axis=axis) for axis in (1, 0)], axis=-1) / cell_px
         flat = gradient.reshape(-1, 3, 2).astype(np.float64)
@@ -224,13 +227,15 @@ class LightPositionModel:
         return cls(flat, tuple(shift for shift in found if shift is not None), columns)
 
     def check(self, cells: Float32Array, tolerance_px: float) -> FrameCheck:
-        """The check of a frame's log intensity in cells; `tolerance_px` may always be off."""
+        """Return the check of a frame's log intensity in cells; `tolerance_px` may always be off."""
         shift = _shift(cells, self.gradient)
         if shift is None or not self.presses:
             return not_checked(POSITION, "too little untouched skin shows how the light lies")
         limit = tolerance_px + SAFETY * max(press.distance_px * self._worse(shift, press) for press in self.presses)
         if limit > MAX_LIMIT * self.columns:
-            return not_checked(POSITION, f"displacements below {limit:.0f} px cannot be told from what is pressed")
+            return not_checked(
+                POSITION, f"displacements below {limit:.0f} px cannot be distinguished from what is pressed"
+            )
         if shift.distance_px <= limit:
             return FrameCheck(POSITION, "passed", shift.distance_px, limit, "px")
         words = (
@@ -240,13 +245,13 @@ class LightPositionModel:
         return FrameCheck(POSITION, "refused", shift.distance_px, limit, "px", words)
 
     def _worse(self, shift: LightShift, press: LightShift) -> float:
-        """Standard uncertainty of a displacement relative to a press's; at least 1."""
+        """Return the standard uncertainty of a displacement relative to a press's; at least 1."""
         scatter = shift.scatter / press.scatter
         return max(scatter * float(np.sqrt(press.fraction / shift.fraction)), 1.0)
 
 
 def _shift(cells: Float32Array, gradient: Float64Array) -> LightShift | None:
-    """The displacement that untouched cells show; None where too few agree."""
+    """Return the displacement that untouched cells show; None where too few agree."""
     light = cells.reshape(-1, 3).astype(np.float64)
     design = np.zeros((len(light), 3, 5))
     design[:, range(3), range(3)] = 1.0

@@ -44,7 +44,7 @@ CAUCHY: Final = 2.4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeResponse:
-    """How log intensity answers to slope near zero, and to elevation.
+    """Response of log intensity to slope near zero, and to elevation.
 
     terms : float64 array of shape (3, 2, 3): for 1, x and y (-1 to 1 over the field) D's two components by channel
     raised : standard deviation of log intensity, all channels alike, at the apexes of balls, which have no slope
@@ -57,7 +57,8 @@ class SlopeResponse:
 
     @classmethod
     def of(cls, samples: BallSamples, balls: list[Ball], shape: tuple[int, int]) -> SlopeResponse | None:
-        """The response that balls show in a field of shape (H, W); None where too few pixels have a gentle slope."""
+        """Return the response that balls show in a field of shape (H, W); None where too few pixels have a gentle
+        slope."""
         gentle = np.flatnonzero(np.hypot(samples.p, samples.q) < GENTLE)
         gentle = gentle[:: max(1, gentle.size // 40_000)]
         if gentle.size < 200:
@@ -95,7 +96,7 @@ class LevelSight:
 
 
 def cell_logs(image: NormalizedImage) -> Float32Array:
-    """Log intensity of the field's cells: float32 array of shape (h, w, 3)."""
+    """Return the log intensity of the field's cells: float32 array of shape (h, w, 3)."""
     step = max(1, image.shape[1] // SAMPLES_ALONG)
     values = np.ascontiguousarray(image.values[step // 2 :: step, step // 2 :: step])
     cells = cv2.resize(values, cells_shape(image.shape)[::-1], interpolation=cv2.INTER_AREA)
@@ -103,13 +104,13 @@ def cell_logs(image: NormalizedImage) -> Float32Array:
 
 
 def cells_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns of cells of a field of `shape` (H, W)."""
+    """Return rows and columns of cells of a field of `shape` (H, W)."""
     width = min(CELLS_ACROSS, shape[1] // 2)
     return max(2, round(shape[0] * width / shape[1])), width
 
 
 def untouched_levels(cells: Float32Array) -> list[LevelSight]:
-    """The levels on which large parts of the field agree that reach its border, the largest part first."""
+    """Return the levels on which large parts of the field agree that reach its border, the largest part first."""
     flat = cells.reshape(-1, 3).astype(np.float64)
     border = _border(cells.shape[:2]).ravel()
     bins, counts = np.unique(np.floor(flat / AGREEING).astype(np.int64), axis=0, return_counts=True)
@@ -131,7 +132,7 @@ def untouched_levels(cells: Float32Array) -> list[LevelSight]:
 
 
 def pressed_levels(cells: Float32Array, response: SlopeResponse) -> LevelSight:
-    """The levels of a frame without untouched skin, by the robust fit."""
+    """Return the levels of a frame without untouched skin, by the robust fit."""
     light = cells.reshape(-1, 3).astype(np.float64)
     answer = response.at(cells.shape[:2])
     count = len(light)

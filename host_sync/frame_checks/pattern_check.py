@@ -61,7 +61,7 @@ class PatternModel:
     def of(
         cls, reference: NormalizedImage | None, flat_field: Float32Array, presses: Sequence[NormalizedImage]
     ) -> PatternModel:
-        """The model from the reference's own intensity and that of the calibration's presses."""
+        """Return the model from the reference's own intensity and that of the calibration's presses."""
         if reference is None or min(reference.shape) < 64:
             return cls(None, (), (1.0, 1.0), (), flat_field.shape[1])
         pattern = ReferencePattern.of(reference, flat_field)
@@ -78,23 +78,23 @@ class PatternModel:
 
     @property
     def identifiable(self) -> bool:
-        """Whether every press of the calibration shows the reference's pattern beyond doubt."""
+        """True if every press of the calibration shows the reference's pattern beyond doubt."""
         return bool(self.presses) and min(sight.sigmas for sight in self.presses) >= IDENTIFIABLE
 
     @property
     def free_tolerance_px(self) -> float:
-        """How far from its place the pattern may lie however little the presses move it."""
+        """Least tolerance of the pattern's place, however little the presses move it."""
         return max(MIN_TOLERANCE_PX, TOLERANCE_OF_WIDTH * self.columns)
 
     @property
     def tolerance_px(self) -> float:
-        """How far from its place the pattern may lie."""
+        """Tolerance of the pattern's place."""
         assert self.reference is not None  # noqa: S101 - asked only where there is one
         shown = [sight.distance_px for sight in self.presses if sight.sigmas >= CLEAR]
         return min(self.free_tolerance_px + 2.0 * max(shown, default=0.0), self.reference.reach_px)
 
     def check(self, intensity: NormalizedImage, flat_field: Float32Array) -> tuple[FrameCheck, FrameCheck]:
-        """The checks of a frame's pattern: where it lies, and how sharp it is."""
+        """Return the checks of a frame's pattern: where it lies, and how sharp it is."""
         if self.reference is None:
             why = "there is no reference frame, or it is too small, whose pattern could be looked for"
             return not_checked(POSITION, why), not_checked(SHARPNESS, why)
@@ -121,7 +121,7 @@ class PatternModel:
         return self._missing(here), unseen
 
     def _at_its_place(self, sight: PatternSight) -> tuple[FrameCheck, FrameCheck]:
-        """The checks of a pattern that lies where the reference's does."""
+        """Return the checks of a pattern that lies where the reference's does."""
         position = FrameCheck(POSITION, "passed", sight.distance_px, self.tolerance_px, "px")
         sharpness = self._sharpness(sight)
         weakest = min((self._strength(press) for press in self.presses), default=0.0)
@@ -142,13 +142,13 @@ class PatternModel:
         return FrameCheck(POSITION, "refused", distance_px, self.tolerance_px, "px", words)
 
     def _strength(self, sight: PatternSight) -> float:
-        """Amplitude against the median press's, the mean of both bands weighted by their precision."""
+        """Return the amplitude against the median press's, the mean of both bands weighted by their precision."""
         parts = ((sight.fine, sight.fine_sigma, self.strength[0]), (sight.coarse, sight.coarse_sigma, self.strength[1]))
         weight = [(usual / sigma) ** 2 for _, sigma, usual in parts]
         return sum(w * value / usual for w, (value, _, usual) in zip(weight, parts, strict=True)) / sum(weight)
 
     def _turn(self, light: Float32Array) -> Turn | None:
-        """The turn under which the pattern is the reference's, if there is one."""
+        """Return the turn under which the pattern is the reference's, if there is one."""
         assert self.reference is not None  # noqa: S101 - asked only where there is one
         limit = SIGNIFICANT if self.identifiable else IDENTIFIABLE
         for turn in turns_of(light.shape):
@@ -158,7 +158,7 @@ class PatternModel:
         return None
 
     def _sharpness(self, sight: PatternSight) -> FrameCheck:
-        """Whether the pattern is blurred against the presses'."""
+        """Return whether the pattern is blurred against the presses'."""
         if not self.fall or not self.identifiable:
             return not_checked(SHARPNESS, UNCLEAR)
         usual = self.strength[0] / self.strength[1]
@@ -177,13 +177,13 @@ class PatternModel:
         return FrameCheck(SHARPNESS, "refused", self._blur_px(ratio), MAX_BLUR_PX, "px", words)
 
     def _blur_px(self, ratio: float) -> float:
-        """The Gaussian that lowers fine over coarse amplitude to this ratio; 0 for a ratio of one and more."""
+        """Return the Gaussian that lowers fine over coarse amplitude to this ratio; 0 for a ratio of one and more."""
         falling = np.minimum.accumulate(np.array(self.fall))
         return float(np.interp(-ratio, -falling, BLURS_PX))
 
 
 def _fall(pattern: ReferencePattern, light: Float32Array, sight: PatternSight) -> tuple[float, ...]:
-    """How the ratio of a press's fine to its coarse amplitude falls under each blur, from 1."""
+    """Return how the ratio of a press's fine to its coarse amplitude falls under each blur, from 1."""
     ratios = []
     for blur_px in BLURS_PX:
         blurred = cv2.GaussianBlur(light, (0, 0), blur_px) if blur_px else light

@@ -46,7 +46,7 @@ deviations are cut: an edge of the object must not outweigh the pattern."""
 
 @dataclass(frozen=True, slots=True)
 class WindowGrid:
-    """Where the windows of a field of shape (H, W) begin.
+    """First pixels of the windows of a field of shape (H, W).
 
     rows, columns : of each window's first pixel
     side : of a window, pixels
@@ -58,7 +58,7 @@ class WindowGrid:
 
     @classmethod
     def of(cls, shape: tuple[int, int]) -> WindowGrid:
-        """The grid of a field; windows of small fields are smaller, so that there are at least two by two."""
+        """Return the grid of a field; windows of small fields are smaller, so that there are at least two by two."""
         side = min(SIDE_PX, min(shape) // 2)
         down, across = (min(most, size // side) for most, size in ((MAX_DOWN, shape[0]), (MAX_ACROSS, shape[1])))
         return cls(_starts(shape[0], down, side), _starts(shape[1], across, side), side)
@@ -70,13 +70,14 @@ class WindowGrid:
 
 
 def _starts(size: int, count: int, side: int) -> tuple[int, ...]:
-    """First pixels of `count` windows, the last mirrored to the first about the middle."""
+    """Return the first pixels of `count` windows, the last mirrored to the first about the middle."""
     half = [round(i * (size - side) / (count - 1)) for i in range((count + 1) // 2)]
     return tuple(half + [size - side - half[i] for i in reversed(range(count // 2))])
 
 
 def window_light(image: NormalizedImage, flat_field: Float32Array, grid: WindowGrid) -> Float32Array:
-    """Log of the light of all channels in the windows, laid side by side: float32 array (rows · side, columns · side).
+    """Return the log of the light of all channels in the windows, laid side by side: float32 array (rows · side,
+    columns · side).
 
     flat_field : float32 array of shape (H, W, 3), what the frame was divided by
     """
@@ -92,13 +93,13 @@ def window_light(image: NormalizedImage, flat_field: Float32Array, grid: WindowG
 
 
 def light_bands(light: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """The fine and the coarse band of log light, arrays of its shape."""
+    """Return the fine and the coarse band of log light, arrays of its shape."""
     blurred = [cv2.GaussianBlur(light, (0, 0), sigma) for sigma in BAND_PX]
     return np.asarray(blurred[0] - blurred[1], np.float32), np.asarray(blurred[1] - blurred[2], np.float32)
 
 
 def weighted(band: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """A band over its local variance, its large values cut, and one over that variance: arrays of its shape."""
+    """Return a band over its local variance, its large values cut, and one over that variance: arrays of its shape."""
     variance = cv2.blur(band * band, (VARIANCE_PX, VARIANCE_PX))
     floor = VARIANCE_FLOOR * float(np.median(variance[::4, ::4]))
     weight = np.float32(1.0) / np.maximum(variance, np.float32(max(floor, 1e-12)))
@@ -107,7 +108,7 @@ def weighted(band: Float32Array) -> tuple[Float32Array, Float32Array]:
 
 
 def in_windows(laid: Float32Array, grid: WindowGrid) -> Float32Array:
-    """Windows laid side by side as an array of shape (N, side, side), zero along each window's border."""
+    """Return windows laid side by side as an array of shape (N, side, side), zero along each window's border."""
     side = grid.side
     down, across = len(grid.rows), len(grid.columns)
     windows = laid.reshape(down, side, across, side).swapaxes(1, 2).reshape(down * across, side, side)
@@ -122,7 +123,7 @@ REACH_SHARE: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class PatternSight:
-    """What a frame shows of the reference's pattern.
+    """Place and strength of the reference's pattern in a frame.
 
     row_px, column_px : where it lies, against the reference
     sigmas : height of that correlation peak, in standard deviations of the correlation elsewhere
@@ -140,7 +141,7 @@ class PatternSight:
 
     @property
     def distance_px(self) -> float:
-        """How far from its place the pattern lies."""
+        """Distance of the pattern from its place."""
         return float(np.hypot(self.row_px, self.column_px))
 
 
@@ -158,7 +159,7 @@ class Correlation:
     noise: tuple[float, float]
 
     def peak(self, within_px: float) -> PatternSight:
-        """The highest peak up to `within_px` from zero shift."""
+        """Return the highest peak up to `within_px` from zero shift."""
         fine, coarse = self.numerators
         sum_sigmas = (fine / self.noise[0] + coarse / self.noise[1]) / np.sqrt(2.0)
         shift = fft.fftfreq(len(fine), 1.0 / len(fine))
@@ -190,7 +191,7 @@ class ReferencePattern:
 
     @classmethod
     def of(cls, intensity: NormalizedImage, flat_field: Float32Array) -> ReferencePattern:
-        """The pattern of the reference's own intensity image, float32 `divisor` of shape (H, W, 3)."""
+        """Return the pattern of the reference's own intensity; `flat_field` is a float32 array of shape (H, W, 3)."""
         grid = WindowGrid.of(intensity.shape)
         fine, coarse = (in_windows(band, grid) for band in light_bands(window_light(intensity, flat_field, grid)))
         return cls(grid, (fine * fine, coarse * coarse), (_spectrum(fine).conj(), _spectrum(coarse).conj()))
@@ -201,11 +202,11 @@ class ReferencePattern:
         return REACH_SHARE * self.grid.side
 
     def light(self, intensity: NormalizedImage, flat_field: Float32Array) -> Float32Array:
-        """A frame's log light in the windows, laid side by side."""
+        """Return a frame's log light in the windows, laid side by side."""
         return window_light(intensity, flat_field, self.grid)
 
     def correlate(self, light: Float32Array) -> Correlation:
-        """The correlation of log light in the windows with the pattern."""
+        """Return the correlation of log light in the windows with the pattern."""
         maps, powers, noises = [], [], []
         for band, square, spectrum in zip(light_bands(light), self.squares, self.spectra, strict=True):
             scaled, weight = weighted(band)

@@ -51,7 +51,8 @@ def is_raw_tiff(tiff: tifffile.TiffFile) -> bool:
 
 
 def every_page(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
-    """The pages of a TIFF, and after them those inside of pages; ValueError where one leads back to an earlier one."""
+    """Return the pages of a TIFF, and after them those inside of pages; ValueError where one leads back to an earlier
+    one."""
     pages: dict[int, tifffile.TiffPage] = {}
     for page in tiff.pages:
         if page.offset in pages:
@@ -67,7 +68,7 @@ def is_page_whole(page: tifffile.TiffPage, size: int) -> bool:
 
 
 def open_raw(path: Path) -> tuple[ImageInfo, bool, Decode]:
-    """The header's facts, whether the file is complete, and what decodes its pixels.
+    """Return the header's facts, whether the file is complete, and what decodes its pixels.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def open_raw(path: Path) -> tuple[ImageInfo, bool, Decode]:
 
 
 def read_camera_raw(path: Path) -> RawFrame:
-    """The mosaic with its black and white levels; FrameSetError where it has none, else one of `RAW_ERRORS`."""
+    """Return the mosaic with its black and white levels; FrameSetError where it has none, else one of `RAW_ERRORS`."""
     with _opened(path) as raw:
         order = _bayer_order(raw, path)
         visible = raw.raw_image_visible

@@ -96,7 +96,7 @@ class FrameSet:
     states_diameters : every ball is given by its diameter
     pitch_tolerance : fraction by which the pixel pitch may be off; None where the file does not say
     lights : their names with their colours, empty where the file does not say
-    lamps_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
+    lights_mm : where each stands, right, down and up from the middle of the field; empty where the file does not say
     pupil_height_mm : the camera's height over untouched skin; None where the file does not say
     """
 
@@ -108,7 +108,7 @@ class FrameSet:
     presses: tuple[PressSpec, ...]
     scans: tuple[ScanSpec, ...]
     lights: tuple[str, ...] = ()
-    lamps_mm: tuple[tuple[float, float, float], ...] = ()
+    lights_mm: tuple[tuple[float, float, float], ...] = ()
     pupil_height_mm: float | None = None
     pixel_shape: float = 1.0
     full_scale: int | None = None
@@ -219,7 +219,7 @@ def _check_channels(press: FrameSpec, name: str) -> None:
 
 
 def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | None:
-    """The tolerance of the pixel pitch as a fraction; FrameSetError where it is not smaller than the pitch."""
+    """Return the tolerance of the pixel pitch as a fraction; FrameSetError where it is not smaller than the pitch."""
     tolerance_um = file.pixel_pitch_tolerance_um
     if tolerance_um is not None and tolerance_um >= pitch_um:
         raise FrameSetError(f"{path}: pixel_pitch_tolerance_um: {tolerance_um:g} is not smaller than the pitch")
@@ -229,7 +229,8 @@ def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | No
 def _full_scale(
     frames: Sequence[FrameSpec], scans: int, known: dict[Path, ImageInfo], path: Path
 ) -> tuple[int | None, bool]:
-    """The count at which frames of 16 bit are saturated, and whether headers state it; the last frames are scans."""
+    """Return the count at which frames of 16 bit are saturated, and whether headers state it; the last frames are
+    scans."""
     first_scan = len(frames) - scans
     counted = [*frames[:first_scan], *frames[first_scan :: max(1, scans // COUNTED_SCANS)]]
     images = [image for spec in counted for image in spec.images if known[image].bits == 16 and not known[image].is_raw]
@@ -334,7 +335,8 @@ def check_ball(ball: Ball, shape: tuple[int, int], place: str) -> None:
 
 
 def square_ball(ball: Ball, shape: tuple[int, int], pixel_shape: float) -> Ball:
-    """A labelled ball of a frame that is stored with (H, W) `shape`, in square pixels; its contact does not grow."""
+    """Return a labelled ball of a frame that is stored with (H, W) `shape`, in square pixels; its contact does not
+    grow."""
     column, row = square_place(ball.column, ball.row, shape, pixel_shape)
     contact_px = ball.contact_radius_px * min(pixel_shape, 1.0 / pixel_shape)
     return replace(ball, column=column, row=row, contact_radius_px=contact_px)
@@ -343,7 +345,7 @@ def square_ball(ball: Ball, shape: tuple[int, int], pixel_shape: float) -> Ball:
 def _press(
     number: int, press: PressTable, frame: FrameSpec, shape: tuple[int, int], pixel_pitch_um: float, path: Path
 ) -> PressSpec:
-    """The press with lengths in square pixels, its balls checked against frame and sphere.
+    """Return the press with lengths in square pixels, its balls checked against frame and sphere.
 
     shape : of the frame as it is stored, in whose pixels the file gives balls
     """

@@ -121,13 +121,13 @@ def names_a_folder(name: str) -> bool:
 
 
 def set_file(path: Path) -> Path:
-    """The file of a frame set; of a folder, the one that it holds under the usual name."""
+    """Return the file of a frame set; of a folder, the one that it holds under the usual name."""
     inside = path / SET_FILE
     return inside if path.is_dir() and inside.is_file() else path
 
 
 def read_frame_set_file(path: Path, *, calibrates: bool = True) -> FileTable:
-    """Tables of a frame set, each key checked; no image is read.
+    """Return tables of a frame set, each key checked; no image is read.
 
     calibrates : refuse a set without a calibration press
 
@@ -164,7 +164,7 @@ def _decode(path: Path) -> FileTable:
 
 
 def image_path(folder: Path, name: str) -> Path:
-    """The path of an image of a frame set; backslashes separate folders where no file has one in its name."""
+    """Return the path of an image of a frame set; backslashes separate folders where no file has one in its name."""
     path = folder / name
     return folder / name.replace("\\", "/") if "\\" in name and not path.exists() else path
 

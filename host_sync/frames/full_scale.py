@@ -45,7 +45,7 @@ def count_values(images: Iterable[Pixels | RawFrame]) -> NDArray[np.int64]:
 
 
 def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: Encoding) -> int:
-    """The full scale of frames of 16 bit.
+    """Return the full scale of frames of 16 bit.
 
     histogram : of the counts of all frames that share it
     stated : what a file's header says; header fields for the highest sample are used in several senses, so that one
@@ -77,7 +77,7 @@ def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: En
 
 
 def clip_level(values: NDArray[Any], counts: NDArray[np.int64]) -> float | None:
-    """The highest value where it stands out from those below, as light that is clipped makes it; None where not.
+    """Return the highest value where it stands out from those below, as light that is clipped makes it; None where not.
 
     values : those that occur, in ascending order
     counts : how often each does

@@ -35,7 +35,8 @@ _DECODE_ERRORS: Final = (*TIFF_READ_ERRORS, *RAW_ERRORS)
 
 
 def read_info(path: Path) -> ImageInfo:
-    """Size and kind of an image; checks that the file is complete without decoding more pixels than that needs.
+    """Return the size and kind of an image; checks that the file is complete without decoding more pixels than that
+    needs.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def read_info(path: Path) -> ImageInfo:
 
 
 def read_image(path: Path) -> Pixels | RawFrame:
-    """The image as it is seen: array of shape (H, W) or (H, W, 3), R, G, B; or a camera's raw frame.
+    """Return the image as it is seen: array of shape (H, W) or (H, W, 3), R, G, B; or a camera's raw frame.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def read_image(path: Path) -> Pixels | RawFrame:
 
 
 def read_with_info(path: Path) -> tuple[ImageInfo, Pixels | RawFrame]:
-    """Size and kind of an image, and the image; errors as for `read_image`."""
+    """Return the size and kind of an image, and the image; errors as for `read_image`."""
     info, is_complete, decode = _opened(path)
     if not is_complete:
         raise damaged(path)
@@ -80,7 +81,7 @@ def read_with_info(path: Path) -> tuple[ImageInfo, Pixels | RawFrame]:
 
 
 def _opened(path: Path) -> tuple[ImageInfo, bool, Decode]:
-    """The header's facts, whether the file extends to the end that it claims, and what decodes its pixels."""
+    """Return the header's facts, whether the file extends to the end that it claims, and what decodes its pixels."""
     try:
         with path.open("rb") as stream:
             start = stream.read(16)
@@ -122,7 +123,7 @@ def _decoded(path: Path, decode: Decode) -> Any:
 
 
 def _without_alpha(pixels: NDArray[Any], path: Path) -> Any:
-    """Colours alone; refused where a pixel is not opaque: what it shows depends on what lies under it."""
+    """Return colours alone; refused where a pixel is not opaque: what it shows depends on what lies under it."""
     if not (pixels[..., -1] == np.iinfo(pixels.dtype).max).all():
         raise FrameSetError(f"{path}: has transparent pixels: save it without transparency")
     return np.ascontiguousarray(pixels[..., 0] if pixels.shape[-1] == 2 else pixels[..., :-1])
@@ -207,7 +208,7 @@ def _open_jpeg(path: Path, data: bytes) -> tuple[ImageInfo, bool, Decode]:
 
 
 def jpeg_info(data: bytes) -> ImageInfo | None:
-    """Size and kind of a JPEG; None when its header holds none."""
+    """Return the size and kind of a JPEG; None when its header holds none."""
     orientation = 1
     for marker, at, end in _segments(data):
         if marker == _APP1 and data.startswith(EXIF_START, at + 4):
@@ -227,7 +228,7 @@ def jpeg_has_end(data: bytes) -> bool:
 
 
 def decode_whole_jpeg(data: bytes) -> Pixels | None:
-    """Pixels of a JPEG; None when the image data end too early, even if an end marker follows.
+    """Return pixels of a JPEG; None when the image data end too early, even if an end marker follows.
 
     Decoders fill in missing pixels without an error. The file is therefore decoded again with noise before its end
     marker: a complete image does not change, a truncated one does.

@@ -43,7 +43,7 @@ class ImageInfo:
 
 
 def damaged(path: Path) -> FrameSetError:
-    """The error of a file that ends too early or cannot be decoded."""
+    """Return the error of a file that ends too early or cannot be decoded."""
     return FrameSetError(f"{path}: is truncated or damaged: fetch it again")
 
 

@@ -61,7 +61,7 @@ class LightSequence:
 
 
 def read_light_sequence(scan: ScanBundle) -> LightSequence | str:
-    """The sequence of a scan, or a sentence that says why it cannot be used; empty if none was taken."""
+    """Return the sequence of a scan, or a sentence that says why it cannot be used; empty if none was taken."""
     exposures = scan.record.exposures
     if exposures.alone_moved:
         return "the object moved while each light was alone, so that those frames were left out"

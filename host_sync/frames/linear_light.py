@@ -23,7 +23,8 @@ from host_sync.frames.square_pixels import square_frame
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:
-    """The frame as fractions of full scale; a pixel is clipped where a channel reaches `SATURATED` of full scale.
+    """Return the frame as fractions of full scale; a pixel is clipped where a channel reaches `SATURATED` of full
+    scale.
 
     Where the frame of untouched skin shows a pattern of printed marks, light is interpolated under them.
 
@@ -40,7 +41,7 @@ def read_frame(spec: FrameSpec) -> LinearFrame:
 
 
 def mark_pattern(at_rest: FrameSpec) -> MarkPattern | None:
-    """The pattern of printed marks that a frame of untouched skin shows; errors as of `read_frame`."""
+    """Return the pattern of printed marks that a frame of untouched skin shows; errors as of `read_frame`."""
     try:
         changed_ns = tuple(image.stat().st_mtime_ns for image in at_rest.images)
     except OSError:
@@ -82,7 +83,8 @@ def _linear_frame(rgb: Float32Array, clipped_from: float = 1.0) -> LinearFrame:
 def frame_of_values(
     values: NDArray[Any], encoding: Encoding, full_scale: int | None = None, pixel_shape: float = 1.0
 ) -> LinearFrame:
-    """The frame in an array of shape (H, W, N), one channel a light: uint8 or uint16, or fractions of full scale.
+    """Return the frame in an array of shape (H, W, N), one channel a light: uint8 or uint16, or fractions of full
+    scale.
 
     full_scale, pixel_shape : as of `FrameSpec`
 
@@ -110,7 +112,8 @@ def frame_of_values(
 
 
 def light_of_values(dtype: np.dtype[Any], encoding: Encoding, full_scale: int | None = None) -> Float32Array:
-    """Fraction of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or uint16.
+    """Return the fraction of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or
+    uint16.
 
     full_scale : of uint16; None is the largest count
     """
@@ -120,5 +123,5 @@ def light_of_values(dtype: np.dtype[Any], encoding: Encoding, full_scale: int | 
 
 
 def decode_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light of sRGB values between 0 and 1 (IEC 61966-2-1)."""
+    """Return linear light of sRGB values between 0 and 1 (IEC 61966-2-1)."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)

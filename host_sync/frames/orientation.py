@@ -27,12 +27,13 @@ _COLUMNS_BACKWARDS: Final = (2, 3, 6, 7)
 
 
 def known_orientation(number: object) -> int:
-    """The orientation that a tag states, from 1 to 8; upright where it states none of them."""
+    """Return the orientation that a tag states, from 1 to 8; upright where it states none of them."""
     return int(number) if isinstance(number, int) and UPRIGHT <= number <= 8 else UPRIGHT
 
 
 def exif_orientation(data: bytes) -> int:
-    """The orientation that a block of EXIF states, which is a TIFF without pixels; upright where it states none."""
+    """Return the orientation that a block of EXIF states, which is a TIFF without pixels; upright where it states
+    none."""
     try:
         with quiet_tiff_log(), tifffile.TiffFile(BytesIO(data)) as tiff:
             return known_orientation(tiff.pages.first.tags.valueof(TAG))

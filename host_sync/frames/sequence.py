@@ -86,7 +86,7 @@ class FrameSequence(Protocol):
         """Frames per second, or None where the source does not state it."""
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
-        """All frames, each decoded on demand."""
+        """Yield all frames, each decoded on demand."""
 
 
 def open_sequence(path: Path) -> FrameSequence:
@@ -133,7 +133,7 @@ class FolderSequence:
         return len(self._files)
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
-        """Every file's frame."""
+        """Yield every file's frame."""
         first: dict[Path, ImageInfo] = {}
         for path in self._files:
             try:
@@ -174,7 +174,7 @@ class StackSequence:
         return self._whole_pages + self._is_cut
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
-        """Every page's frame."""
+        """Yield every page's frame."""
         with quiet_tiff_log(), tifffile.TiffFile(self._path) as tiff:
             for number in range(self._whole_pages):
                 name = f"page {number + 1}"
@@ -212,7 +212,7 @@ class MovieSequence:
         self.rate_hz = rate_hz if 0.0 < rate_hz < 1e5 else None
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
-        """Every frame, R, G, B."""
+        """Yield every frame, R, G, B."""
         movie = _opened(self._path)
         try:
             for number in range(1, self.count + 1):
@@ -263,7 +263,7 @@ def _read_file(path: Path) -> tuple[ImageInfo, Pixels | RawFrame]:
 
 
 def _page_count(path: Path) -> int:
-    """Pages of a TIFF; 0 when it cannot be read."""
+    """Return pages of a TIFF; 0 when it cannot be read."""
     try:
         with quiet_tiff_log(), tifffile.TiffFile(path) as tiff:
             return len(tiff.pages)
@@ -301,7 +301,7 @@ class BundleMovie:
         return 1e3 * (len(self._frames) - 1) / lasting_ms if lasting_ms > 0.0 else None
 
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
-        """Every frame."""
+        """Yield every frame."""
         for frame in self._frames:
             try:
                 yield StoredFrame(frame.file, unbin_mosaic(self._bundle.movie_frame(frame.file)))

@@ -20,7 +20,7 @@ MAX_OBLONG: Final = 3.0
 
 
 def square_pitch(pitch_um: float | tuple[float, ...]) -> tuple[float, float]:
-    """The pitch of the square pixels, and the shape of the stored ones: height over width.
+    """Return the pitch of the square pixels, and the shape of the stored ones: height over width.
 
     pitch_um : distance of neighbouring pixels on the skin, µm; where they are not square, along a row and down a column
 
@@ -49,13 +49,13 @@ def square_shape(shape: tuple[int, int], pixel_shape: float) -> tuple[int, int]:
 
 
 def square_place(column: float, row: float, shape: tuple[int, int], pixel_shape: float) -> tuple[float, float]:
-    """Column and row in square pixels of a place in a frame that is stored with (H, W) `shape`."""
+    """Return the column and row in square pixels of a place in a frame that is stored with (H, W) `shape`."""
     rows, columns = square_shape(shape, pixel_shape)
     return (column + 0.5) * columns / shape[1] - 0.5, (row + 0.5) * rows / shape[0] - 0.5
 
 
 def square_frame(frame: LinearFrame, pixel_shape: float) -> LinearFrame:
-    """The frame in square pixels; one is clipped where any part of it is."""
+    """Return the frame in square pixels; one is clipped where any part of it is."""
     if pixel_shape == 1.0:
         return frame
     rows, columns = square_shape(frame.shape, pixel_shape)

@@ -29,7 +29,7 @@ _MAX_SAMPLE: Final = ("MaxSampleValue", "SMaxSampleValue", "WhiteLevel")
 
 
 def open_tiff(path: Path) -> tuple[ImageInfo, bool, Decode]:
-    """The header's facts, whether the file is complete, and what decodes its pixels.
+    """Return the header's facts, whether the file is complete, and what decodes its pixels.
 
     Raises
     ------
@@ -67,7 +67,8 @@ def promises_another_page(tiff: tifffile.TiffFile) -> bool:
 
 
 def _full_pages(tiff: tifffile.TiffFile, path: Path) -> list[tifffile.TiffPage]:
-    """The page of the image itself, neither a reduced copy of it nor a mask; or those of R, G and B, one grey each.
+    """Return the page of the image itself, neither a reduced copy of it nor a mask; or those of R, G and B, one grey
+    each.
 
     Raises
     ------
@@ -117,14 +118,14 @@ def _page_info(page: tifffile.TiffPage, path: Path) -> ImageInfo:
 
 
 def _ome_full_scale(page: tifffile.TiffPage) -> int | None:
-    """The full scale that microscopes' metadata state as a number of significant bits."""
+    """Return the full scale that microscopes' metadata state as a number of significant bits."""
     _, _, rest = (page.description or "").partition('SignificantBits="')
     bits = rest.partition('"')[0]
     return (1 << int(bits)) - 1 if bits.isdecimal() and 8 < int(bits) <= 16 else None
 
 
 def _tiff_palette(page: tifffile.TiffPage) -> NDArray[np.uint8]:
-    """Entries of the palette, R, G, B of 8 bit one after another; the file stores planes of 16 bit."""
+    """Return entries of the palette, R, G, B of 8 bit one after another; the file stores planes of 16 bit."""
     return np.asarray(np.asarray(page.colormap) >> 8, np.uint8).reshape(3, -1).T.ravel()
 
 

@@ -102,7 +102,7 @@ class _Spread:
 def study(
     values: Float64Array, parts: Sequence[str], operators: Sequence[str], tolerance: float | None = None
 ) -> GageStudy:
-    """The study of measured values.
+    """Return the study of measured values.
 
     values : float64 array of shape (parts, operators, repeats), each finite
     tolerance : tolerance width, in the unit of the values
@@ -153,7 +153,7 @@ def study(
 
 
 def _analyse(values: Float64Array) -> MeanSquares:
-    """The analysis of variance of values of shape (parts, operators, repeats)."""
+    """Return the analysis of variance of values of shape (parts, operators, repeats)."""
     p, o, r = values.shape
     grand = values.mean()
     cells = values.mean(axis=2)
@@ -191,7 +191,7 @@ MIN_CATEGORIES: Final = 5
 
 
 def study_text(study: GageStudy, what: str, unit: str) -> str:
-    """The tables of a study: ANOVA, spreads with confidence intervals, and the verdict."""
+    """Return the tables of a study: ANOVA, spreads with confidence intervals, and the verdict."""
     anova = study.anova
     lines = [
         f"gage R&R of {what}: {len(study.parts)} parts, {len(study.operators)} operators, {study.repeats} repeats; "
@@ -224,7 +224,7 @@ def study_text(study: GageStudy, what: str, unit: str) -> str:
 
 
 def verdict(study: GageStudy) -> str:
-    """The verdict by the AIAG rule of thumb."""
+    """Return the verdict by the AIAG rule of thumb."""
     percent = study.percent_gage.value
     if percent is None:
         return "the gage cannot be judged: nothing varies"
@@ -256,7 +256,7 @@ class GageRow:
 
 
 def read_rows(path: Path, value_column: str) -> list[GageRow]:
-    """The rows of a CSV file whose header names the columns part, operator and the value column.
+    """Return the rows of a CSV file whose header names the columns part, operator and the value column.
 
     Raises
     ------
@@ -300,7 +300,7 @@ def numbers(rows: Iterable[GageRow], source: str) -> list[tuple[str, str, float]
 def crossed(
     measured: Sequence[tuple[str, str, float]],
 ) -> tuple[Float64Array, tuple[str, ...], tuple[str, ...]]:
-    """Values of shape (parts, operators, repeats), part names and operator names, in order of appearance.
+    """Return values of shape (parts, operators, repeats), part names and operator names, in order of appearance.
 
     Raises
     ------

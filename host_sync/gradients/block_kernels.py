@@ -1,4 +1,4 @@
-"""What happens to a short run of pixels on the way from intensity to slope: planes of one small array.
+"""Steps from intensity to slope for a short run of pixels: planes of one small array.
 
 Every step is a loop over the run, which the compiler turns into vector instructions.
 """
@@ -41,7 +41,7 @@ _CONTRACT: Final = {"contract", "nsz"}
 
 @njit(cache=True)
 def run_length(columns: int) -> int:
-    """Length of the runs that a row is worked off in: as few and as even as may be."""
+    """Return the length of the runs that a row is worked off in: as few and as even as may be."""
     runs = (columns + RUN - 1) // RUN
     return (columns + runs * LANES - 1) // (runs * LANES) * LANES
 

@@ -14,7 +14,8 @@ from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_c
 
 
 def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
-    """Slopes of cells of `cell` x `cell` pixels, shape (h, w); beyond the field its last row and column are repeated.
+    """Return slopes of cells of `cell` x `cell` pixels, shape (h, w); beyond the field its last row and column are
+    repeated.
 
     A cell of which more than a thousandth is invalid is invalid: its slope and weight are 0.
     """

@@ -37,7 +37,7 @@ def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
 
 @njit(cache=True)
 def _counts(valid: Any, clipped: Any, weight: Any) -> Any:
-    """Whether a pixel counts in the mean, and takes it."""
+    """Return whether a pixel counts in the mean, and takes it."""
     return valid & (not clipped) & (weight > MIN_OWN)
 
 

@@ -1,4 +1,4 @@
-"""Which pixels show slopes beyond the calibration's training data: they are kept, and marked.
+"""Pixels with slopes beyond the calibration's training data: they are kept, and marked.
 
 Steeper than any ball, or of a colour and place whose leverage exceeds that of every ball pixel
 (`device.inverse_map.leverage`).
@@ -40,7 +40,7 @@ def extrapolated(
     """True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
-    strange : what `strange_blocks` tells of the image, where that was asked before
+    strange : `strange_blocks` of the image, where it was computed before
     """
     out = np.empty(intensity.shape, np.bool_)
     limit = np.float32((STEEPER * inverse.max_trained_slope) ** 2)
@@ -68,7 +68,8 @@ def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
 
 
 def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
-    """Whether leverage lies beyond the training data at one point of every block of pixels: bool array (h, w)."""
+    """Return whether leverage lies beyond the training data at one point of every block of pixels: bool array (h,
+    w)."""
     step = _step(intensity.shape)
     rows, columns = intensity.shape
     values = intensity.values[step // 2 :: step, step // 2 :: step]

@@ -32,12 +32,12 @@ _MIN_SIDE: Final = 4
 
 
 def empty_intensity(shape: tuple[int, int]) -> NormalizedImage:
-    """An image of shape (H, W) for the functions below to fill, again and again; its pixels mean nothing yet."""
+    """Return an image of shape (H, W) for the functions below to fill, again and again; its pixels mean nothing yet."""
     return NormalizedImage(empty_planes(shape), np.empty(shape, np.bool_), np.empty(shape, np.bool_))
 
 
 def raw_intensity(frame: RawFrame, flat_field: Float32Array, out: NormalizedImage | None = None) -> NormalizedImage:
-    """Intensity of a raw frame, `flat_field_correct(demosaic(frame), divisor)`, in `out` when it is given.
+    """Return the intensity of a raw frame, `flat_field_correct(demosaic(frame), flat_field)`, in `out` if it is given.
 
     flat_field : float32 array of shape (H, W, 3), `make_flat_field` or `estimate_flat_field`
 
@@ -64,7 +64,7 @@ def raw_intensity(frame: RawFrame, flat_field: Float32Array, out: NormalizedImag
 def stored_intensity(
     pixels: Pixels, light: Float32Array, flat_field: Float32Array, out: NormalizedImage | None = None
 ) -> NormalizedImage:
-    """Intensity of an RGB image as it was stored, in `out` when it is given.
+    """Return the intensity of an RGB image as it was stored, in `out` when it is given.
 
     pixels : uint8 or uint16 array of shape (H, W, 3)
     light : float32 array, share of full scale of each stored value (`host_sync.frames.linear_light.light_of_values`)
@@ -146,7 +146,7 @@ def _divide_row(counts: Any, black: Any, scale: Any, flat_field: Any, values: An
 
 @njit(cache=True)
 def _lit_row(red: Any, green: Any, blue: Any, valid: Any) -> None:
-    """Write where all three colours of the divisor are bright enough to divide by."""
+    """Write where all three colours of the flat field are bright enough to divide by."""
     floor = np.float32(DARK_FLOOR)
     for c in range(valid.size):
         valid[c] = (red[c] > floor) & (green[c] > floor) & (blue[c] > floor)

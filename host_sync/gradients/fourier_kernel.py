@@ -23,13 +23,13 @@ _HALF: Final = np.float32(0.5)
 
 
 def tabulated_fourier_terms(waves: RandomFourierFeatures) -> Float32Array:
-    """Direction and phase in turns: float32 array of shape (4, W)."""
+    """Return the direction and phase in turns: float32 array of shape (4, W)."""
     turns = np.concatenate([waves.direction, waves.phase[None]]) / np.float32(2.0 * np.pi)
     return np.ascontiguousarray(turns, np.float32)
 
 
 def fourier_factor(waves: RandomFourierFeatures) -> float:
-    """What coefficients are multiplied by for `add_fourier_terms`, which sums cosines half a turn on."""
+    """Return what coefficients are multiplied by for `add_fourier_terms`, which sums cosines half a turn on."""
     return -waves.amplitude
 
 

@@ -60,7 +60,7 @@ def evaluate(
     null_colour: NullColour | None = None,
     shrunk: NormalizedImage | None = None,
 ) -> GradientField:
-    """Slope, validity and confidence of every pixel of a full-size image, equal to the portable evaluation.
+    """Return the slope, validity and confidence of every pixel of a full-size image, equal to the portable evaluation.
 
     null_colour : of the image's noise, which is taken off slopes as `NullColour.read` does
     shrunk : the image with its noise shrunk, which the null colour needs
@@ -137,7 +137,7 @@ class SlopeKernel:
 
 
 def empty_gradients(shape: tuple[int, int]) -> GradientField:
-    """A gradient field of shape (H, W) for `SlopeKernel` to fill; its pixels mean nothing yet."""
+    """Return a gradient field of shape (H, W) for `SlopeKernel` to fill; its pixels mean nothing yet."""
     p, q, weight = (np.empty(shape, np.float32) for _ in range(3))
     return GradientField(p, q, np.empty(shape, np.bool_), weight)
 
@@ -190,31 +190,32 @@ def _tabled(curve: FeatureRegressor, share: float) -> _Curve:
 
 
 def _absent(curve: _Curve) -> _Curve:
-    """A curve that is not there, of the types of one that is."""
+    """Return a curve that is not there, of the types of one that is."""
     return curve._replace(share=np.float32(0.0))
 
 
 def _limits(curve: FeatureRegressor) -> Float32Array:
-    """What a curve's colours are clipped to and scaled by; see `_Curve`."""
+    """Return what a curve's colours are clipped to and scaled by; see `_Curve`."""
     colours = curve.colours
     per_spread = np.full(3, 1.0 / colours.spread, np.float32)
     return np.stack([colours.low, colours.high, colours.centre, np.float32(1.0) / colours.scale, per_spread])
 
 
 def _by_column(nodes: Float32Array, columns: int) -> Float32Array:
-    """What nodes (n, m, C) hold at every column along their rows: float32 array of shape (n, C, W)."""
+    """Return what nodes (n, m, C) hold at every column along their rows: float32 array of shape (n, C, W)."""
     across = ((2.0 * np.arange(columns) + 1.0) / columns - 1.0).astype(np.float32)
     down = np.linspace(-1.0, 1.0, len(nodes), dtype=np.float32)
     return np.ascontiguousarray(np.moveaxis(rows_between_nodes(nodes, across, down), 2, 1))
 
 
 def _by_output(null_colour: NullColour) -> Float32Array:
-    """A null colour as the kernel reads it: float32 array of shape (5, 3, 3), first three channels, then two slopes."""
+    """Return a null colour as the kernel reads it: float32 array of shape (5, 3, 3), first three channels, then two
+    slopes."""
     return np.ascontiguousarray(np.moveaxis(np.concatenate([null_colour.channels, null_colour.slopes], axis=-1), -1, 0))
 
 
 def _light_at_rest(inverse_map: InverseMap) -> Float32Array:
-    """What the curve of light, its share in it, reads on untouched skin: nodes (n, m, 2)."""
+    """Return what the curve of light, its share in it, reads on untouched skin: nodes (n, m, 2)."""
     light = inverse_map.light
     return _NO_BIAS if light is None or light.at_rest is None else np.float32(light.share) * light.at_rest
 
@@ -304,7 +305,8 @@ def _evaluate(
 
 @njit(cache=True)
 def _between(down: np.float32, count: int) -> tuple[int, np.float32]:
-    """Index of the node before a row's position variable, of `count` even over the field, and the share of the way."""
+    """Return the index of the node before a row's position variable, of `count` even over the field, and the share of
+    the way."""
     at = (down + ONE) * np.float32(0.5 * (count - 1))
     before = min(int(at), count - 2)
     return before, at - np.float32(before)
@@ -326,7 +328,7 @@ def _store(run: Any, usable: Any, clipped: Any, p: Any, q: Any, weight: Any, val
 
 @njit(cache=True)
 def _at_row(coefficients: Float32Array, down: np.float32) -> Float32Array:
-    """Coefficients at one row: float32 array of shape (2, 3, M) by powers of the column's position."""
+    """Return coefficients at one row: float32 array of shape (2, 3, M) by powers of the column's position."""
     components, powers, _, terms = coefficients.shape
     along = np.zeros((components, powers, terms), np.float32)
     for component in range(components):
@@ -341,7 +343,7 @@ def _at_row(coefficients: Float32Array, down: np.float32) -> Float32Array:
 
 @njit(cache=True)
 def _directions_at_row(near: Float32Array, down: np.float32) -> Float32Array:
-    """Directions of lights at one row: float32 array of shape (2, 3, 4) by powers of the column, or empty."""
+    """Return directions of lights at one row: float32 array of shape (2, 3, 4) by powers of the column, or empty."""
     along = near[..., 0].copy()
     power = ONE
     for j in range(1, near.shape[3]):

@@ -3,7 +3,7 @@
 Terms stand in the order of `colour_exponents`: by the power of the first colour, then of the second, then of the third.
 A polynomial of degree n in (x, y, z) is a plane of degree n in (y, z) plus x times a polynomial of degree n - 1; a
 plane is a line in z plus y times the next plane. Written out, all of it stays in registers: one multiplication a term,
-three loads and one store a pixel. Lower degrees are filled up with noughts to four; what our fits never have, more than
+three loads and one store a pixel. Lower degrees are filled up with zeros to four; what our fits never have, more than
 five, loops.
 """
 
@@ -20,13 +20,13 @@ MIN_DEGREE: Final = 4
 
 
 def term_numbers(degree: int) -> list[int]:
-    """Where the terms of a polynomial stand among those of `tabled_degree(degree)`."""
+    """Return where the terms of a polynomial stand among those of `tabled_degree(degree)`."""
     terms = colour_exponents(tabled_degree(degree))
     return [terms.index(term) for term in colour_exponents(degree)]
 
 
 def tabled_degree(degree: int) -> int:
-    """The degree that a polynomial is tabled with."""
+    """Return the degree that a polynomial is tabled with."""
     return max(degree, MIN_DEGREE)
 
 
@@ -51,7 +51,7 @@ def write_polynomial(degree: int, c: Any, x: Any, y: Any, z: Any, out: Any) -> N
 
 @njit(cache=True, fastmath=CONTRACT)
 def _any_degree(degree: int, c: Any, x: Any, y: Any, z: Any) -> Any:
-    """The polynomial by Horner's scheme from its last term to its first."""
+    """Return the polynomial by Horner's scheme from its last term to its first."""
     at = c.size - 1
     solid = c[at]
     for n in range(1, degree + 1):

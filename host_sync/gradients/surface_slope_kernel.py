@@ -12,7 +12,7 @@ from host_sync.kernels.parallel_rows import parallel_rows
 
 
 def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
-    """Slopes (p, q) by central differences: float32 arrays of shape (H, W), the portable ones but for rounding.
+    """Return slopes (p, q) by central differences: float32 arrays of shape (H, W), the portable ones but for rounding.
 
     H and W are at least 2.
     """

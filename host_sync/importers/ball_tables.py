@@ -28,7 +28,8 @@ METADATA: Final = "annotations/metadata.json"
 
 
 def import_gs_sdk(source: Path, said: Said) -> Draft:
-    """A calibration folder of gs_sdk: `catalog.csv`, folders with `gelsight.png` and `label.npz`, `background.png`.
+    """Return a calibration folder of gs_sdk: `catalog.csv`, folders with `gelsight.png` and `label.npz`,
+    `background.png`.
 
     Raises
     ------
@@ -50,7 +51,7 @@ def import_gs_sdk(source: Path, said: Said) -> Draft:
 
 
 def import_py3dcal(source: Path, said: Said) -> Draft:
-    """A calibration folder of py3DCal: `probe_images/`, `blank_images/blank.png`, `annotations/`.
+    """Return a calibration folder of py3DCal: `probe_images/`, `blank_images/blank.png`, `annotations/`.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def _draft(
 
 
 def _positive(value: str, path: Path) -> float:
-    """The length, with a decimal point or comma, and its unit or not."""
+    """Return the length, with a decimal point or comma, and its unit or not."""
     number = number_in(value.removesuffix("mm"))
     if not 0.0 < number < float("inf"):
         raise FrameSetError(f"{path}: {value!r} is no length: correct the table")
@@ -111,7 +112,7 @@ def _positive(value: str, path: Path) -> float:
 
 
 def _label(path: Path) -> tuple[Circle, ...]:
-    """The contact that a label names; none where there is no label."""
+    """Return the contact that a label names; none where there is no label."""
     if not path.is_file():
         return ()
     try:
@@ -135,7 +136,7 @@ _AT_REST: Final = re.compile(r"0+|background|blank|flat|ref|bg", re.IGNORECASE)
 
 
 def find_circle_table(source: Path) -> Path | None:
-    """The table of circles in a folder, in its csv folder or beside its images; None where there is none."""
+    """Return the table of circles in a folder, in its csv folder or beside its images; None where there is none."""
     for one in (*sorted(source.glob("*.csv")), *sorted(source.glob("csv/*.csv"))):
         try:
             read_table(one, FrameSetError, COLUMNS)
@@ -146,7 +147,7 @@ def find_circle_table(source: Path) -> Path | None:
 
 
 def import_annotated(source: Path, said: Said) -> Draft:
-    """A folder with a table of circles and their images, which lie in it or in one of its folders.
+    """Return a folder with a table of circles and their images, which lie in it or in one of its folders.
 
     Raises
     ------
@@ -186,7 +187,7 @@ def import_annotated(source: Path, said: Said) -> Draft:
 
 
 def _images(source: Path, names: set[str]) -> dict[str, Path]:
-    """The folder that holds most of the images, by name."""
+    """Return the folder that holds most of the images, by name."""
     folders = [source, *(one for one in sorted(source.iterdir()) if one.is_dir())]
     held = [{one.name.casefold(): one for one in sorted(place.iterdir(), key=natural_order)} for place in folders]
     best = max(held, key=lambda files: len(names & files.keys()))
@@ -208,7 +209,7 @@ def _contact(row: dict[str, str], largest: float | None, table: Path) -> Circle:
 
 
 def _stated_pitch_um(source: Path) -> float | None:
-    """The pixel pitch that a configuration beside the images states."""
+    """Return the pixel pitch that a configuration beside the images states."""
     for one in sorted(source.glob("config/*.yaml")):
         found = _SCALE.search(one.read_text(encoding="utf-8", errors="replace"))
         if found and float(found[1]) > 0.0:

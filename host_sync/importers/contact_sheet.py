@@ -75,7 +75,7 @@ def _nearest(ball: Ball, found: Sequence[Ball]) -> Ball | None:
 
 
 def _reasons(shown: Sequence[ShownPress]) -> tuple[str, ...]:
-    """Why presses show no ball, the commonest reason first, each with the images."""
+    """Return why presses show no ball, the commonest reason first, each with the images."""
     refused = [one for one in shown if not one.is_used]
     counts = Counter(one.words for one in refused)
     lines = []
@@ -86,7 +86,7 @@ def _reasons(shown: Sequence[ShownPress]) -> tuple[str, ...]:
 
 
 def _diameter(frame_set: FrameSet, shown: Sequence[ShownPress]) -> list[str]:
-    """The question whether the diameter was given as the radius, where every contact is narrow."""
+    """Return the question whether the diameter was given as the radius, where every contact is narrow."""
     balls = [ball for one in shown for ball in (*one.balls, *one.given)]
     if frame_set.states_diameters or not balls:
         return []
@@ -94,7 +94,7 @@ def _diameter(frame_set: FrameSet, shown: Sequence[ShownPress]) -> list[str]:
 
 
 def _other_radius(frame_set: FrameSet, presses: Sequence[PressSpec], used: int) -> tuple[str, ...]:
-    """A hint where another radius than the one stated shows in more presses."""
+    """Return a hint where another radius than the one stated shows in more presses."""
     if 2 * used >= len(presses):
         return ()
     best = survey_radius([press.frame for press in presses[:: max(1, len(presses) // 12)]], frame_set.reference)

@@ -85,7 +85,7 @@ class Draft:
     states_diameters: bool = False
 
     def pitch_of_field_um(self, field_mm: float) -> float:
-        """The pixel pitch of images that show a field of this width.
+        """Return the pixel pitch of images that show a field of this width.
 
         Raises
         ------
@@ -98,7 +98,8 @@ class Draft:
         return 1e3 * field_mm / read_info(images[0]).shape[1]
 
     def without_copies(self) -> Draft:
-        """The draft without presses whose files repeat an earlier press's, byte for byte, and a note that names them.
+        """Return the draft without presses whose files repeat an earlier press's, byte for byte, and a note that names
+        them.
 
         Raises
         ------
@@ -125,7 +126,7 @@ class Draft:
         return replace(self, presses=tuple(kept), notes=(*self.notes, note))
 
     def missing(self) -> list[str]:
-        """Options that must be given, for what neither the files nor the user said."""
+        """Return options that must be given, for what neither the files nor the user said."""
         needs = []
         if self.pixel_pitch_um is None:
             needs.append(
@@ -195,7 +196,7 @@ class Draft:
 
 
 def result_names(names: Sequence[str]) -> list[str]:
-    """Names of scans as `reconstruct` takes them for folders: other signs become hyphens, none comes twice."""
+    """Return names of scans as `reconstruct` takes them for folders: other signs become hyphens, none comes twice."""
     taken = {CALIBRATION_FOLDER}
     found = []
     for name in names:
@@ -212,7 +213,8 @@ def result_names(names: Sequence[str]) -> list[str]:
 
 
 def short_names(images: Sequence[Path]) -> dict[Path, str]:
-    """Each image's file name, or its path from the folder of all where files of one name lie in several folders."""
+    """Return each image's file name, or its path from the folder of all where files of one name lie in several
+    folders."""
     if len({image.name for image in images}) == len(set(images)):
         return {image: image.name for image in images}
     folder = os.path.commonpath([image.parent for image in images])
@@ -220,7 +222,7 @@ def short_names(images: Sequence[Path]) -> dict[Path, str]:
 
 
 def left_out(missing: Sequence[str]) -> tuple[str, ...]:
-    """A note on images that a table lists and the folder does not hold."""
+    """Return a note on images that a table lists and the folder does not hold."""
     if not missing:
         return ()
     count = "1 listed image is" if len(missing) == 1 else f"{len(missing)} listed images are"
@@ -228,7 +230,7 @@ def left_out(missing: Sequence[str]) -> tuple[str, ...]:
 
 
 def inside(source: Path, name: str) -> Path:
-    """The file of this name in a folder; of tables from Windows, with backslashes and letters of any case.
+    """Return the file of this name in a folder; of tables from Windows, with backslashes and letters of any case.
 
     Of a path on the computer that wrote the table, its end that is there.
 
@@ -251,7 +253,7 @@ def inside(source: Path, name: str) -> Path:
 
 
 def _as_spelled(folder: Path, name: str) -> str:
-    """The name with the case of the folders and files that are there; what is not there stays as it is."""
+    """Return the name with the case of the folders and files that are there; what is not there stays as it is."""
     at, parts = folder, []
     for part in name.split("/"):
         if part not in ("", ".", "..") and not (at / part).exists() and at.is_dir():
@@ -279,5 +281,5 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _text(value: str) -> str:
-    """A basic string of TOML; JSON's escapes are the same for what file names hold."""
+    """Return a basic string of TOML; JSON's escapes are the same for what file names hold."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

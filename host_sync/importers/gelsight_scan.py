@@ -32,7 +32,7 @@ class _Scan:
 
 
 def import_gelsight(source: Path, said: Said) -> Draft:
-    """A scan's folder, or one that holds scans' folders.
+    """Return a scan's folder, or one that holds scans' folders.
 
     Raises
     ------
@@ -136,7 +136,7 @@ MAX_BYTES: Final = 4 << 20
 
 
 def read_plain_yaml(path: Path) -> dict[str, str | list[str] | list[Table]]:
-    """Keys of the file at its outermost level.
+    """Return keys of the file at its outermost level.
 
     Raises
     ------

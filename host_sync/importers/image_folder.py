@@ -53,7 +53,7 @@ ALIKE: Final = 0.1
 
 
 def import_images(source: Path, said: Said) -> Draft:
-    """A folder of RGB images.
+    """Return a folder of RGB images.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def import_images(source: Path, said: Said) -> Draft:
 
 
 def _of_one_size(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
-    """The images of the commonest size, and a note on others."""
+    """Return the images of the commonest size, and a note on others."""
     sizes: dict[Path, tuple[int, int] | None] = {}
     for one in files:
         try:
@@ -115,7 +115,8 @@ def _of_one_size(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def _largest_group(files: Sequence[Path]) -> list[Path]:
-    """The images whose names differ in numbers only, of the largest such group; none where all groups are small."""
+    """Return the images whose names differ in numbers only, of the largest such group; none where all groups are
+    small."""
     groups: dict[str, list[Path]] = {}
     for one in files:
         if re.search(r"\d", one.stem):
@@ -148,7 +149,7 @@ def _compared(image: Path, presses: Sequence[Path]) -> str:
 
 
 def _small(image: Path) -> Float32Array:
-    """Linear light of an image reduced to some 100 pixels."""
+    """Return linear light of an image reduced to some 100 pixels."""
     frame = read_frame(FrameSpec((image,), "srgb")).rgb
     step = max(1, min(frame.shape[:2]) // 100)
     rows, columns = (size // step * step for size in frame.shape[:2])
@@ -209,7 +210,7 @@ class SeenPress:
 
 
 def look_at(frame_set: FrameSet, at_most: int) -> Iterator[SeenPress]:
-    """The first presses of a frame set with the balls that calibration uses; frames are read one at a time.
+    """Yield the first presses of a frame set with the balls that calibration uses; frames are read one at a time.
 
     Raises
     ------
@@ -228,7 +229,8 @@ def look_at(frame_set: FrameSet, at_most: int) -> Iterator[SeenPress]:
 
 
 def survey_radius(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> FittingRadius | None:
-    """The radius of the balls that show in frames; None where none shows, or no frame has the reference's size."""
+    """Return the radius of the balls that show in frames; None where none shows, or no frame has the reference's
+    size."""
     flat_field = _flat_field(frames, reference)
     readable = [frame for spec in frames if (frame := _readable(spec)) is not None]
     same = [frame for frame in readable if flat_field is not None and frame.rgb.shape == flat_field.shape]
@@ -259,7 +261,7 @@ def _readable(spec: FrameSpec) -> LinearFrame | None:
 
 
 def _three_lights(frame: LinearFrame) -> LinearFrame:
-    """The frame; of more than three lights, three that are spread over them: balls show in any three."""
+    """Return the frame; of more than three lights, three that are spread over them: balls show in any three."""
     lights = frame.rgb.shape[-1]
     if lights <= 3:
         return frame
@@ -268,7 +270,7 @@ def _three_lights(frame: LinearFrame) -> LinearFrame:
 
 
 def _seen(press: PressFrame, flat_field: Float32Array | None) -> SeenPress:
-    """The balls of a frame; what keeps any from being found is its fault."""
+    """Return the balls of a frame; what keeps any from being found is its fault."""
     frame, nothing = press.frame, BallSearch((), ())
     if frame.rgb.shape[-1] < 3:
         return SeenPress(frame, nothing, "fewer than three lights do not distinguish a ball from a shadow")

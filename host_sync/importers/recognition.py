@@ -48,7 +48,7 @@ OTHER_IMAGES: Final = (".bmp", ".webp", ".gif", ".heic", ".jp2", ".ppm", ".jls")
 
 
 def recognize(source: Path) -> Kind:
-    """The kind of a folder, by the files that it holds.
+    """Return the kind of a folder, by the files that it holds.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def recognize(source: Path) -> Kind:
 
 
 def read_folder(source: Path, kind: Kind, said: Said) -> Draft:
-    """The draft of a folder of this kind, without copies of presses, and with what the user stated.
+    """Return the draft of a folder of this kind, without copies of presses, and with what the user stated.
 
     Raises
     ------

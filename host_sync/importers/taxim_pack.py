@@ -23,7 +23,7 @@ AT_REST: Final = ("frame_0", "ball0")
 
 
 def import_taxim(source: Path, said: Said) -> Draft:
-    """A folder with a data pack and its images.
+    """Return a folder with a data pack and its images.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def _is_text(path: Path) -> bool:
 
 
 def _pack(path: Path) -> tuple[list[str], list[tuple[float, float]], list[float]]:
-    """Names of the images, and the centres (column, row) and radii of their contacts, pixels."""
+    """Return names of the images, and the centres (column, row) and radii of their contacts, pixels."""
     if not path.is_file():
         raise FrameSetError(f"{path.parent}: holds no {PACK}: name the folder of the annotated images")
     try:

@@ -41,7 +41,7 @@ SUMS, EDGES = 8, 4
 
 
 class Coarse(NamedTuple):
-    """What the weighted kernel writes, and its constants.
+    """Arrays that the weighted kernel writes, and its constants.
 
     weight_x, slope_x, weight_y, slope_y : arrays of the coarse level, as in `GridLevel`
     damping : as in `conductance`, float32

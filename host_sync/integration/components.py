@@ -60,13 +60,13 @@ class Components:
         return moments
 
     def _means(self, moments: Float64Array, total: Float64Array) -> Float64Array:
-        """Weighted mean of each run's component, float64 array of shape (runs,)."""
+        """Return the weighted mean of each run's component, float64 array of shape (runs,)."""
         moment, weight = (np.bincount(self.label, part, self.count) for part in (moments, total))
         return np.asarray((moment / weight)[self.label], np.float64)
 
 
 def label_components(weight: Float32Array) -> Components:
-    """Components of the pixels with positive weight, connected through their four neighbours."""
+    """Return components of the pixels with positive weight, connected through their four neighbours."""
     counts = np.zeros(weight.shape[0] + 1, np.int64)
     parallel_rows(_count_runs, weight.shape, weight, counts)
     first = np.cumsum(counts)
@@ -85,7 +85,7 @@ def _count_runs(weight: Any, counts: Any, begin: int, end: int) -> None:
 
 @njit(cache=True)
 def _row_runs(row: Any) -> Any:
-    """Number of pixels with a weight whose left neighbour has none."""
+    """Return the number of pixels with a weight whose left neighbour has none."""
     zero = np.float32(0.0)
     count = np.int32(row[0] > zero)
     for c in range(1, row.size):
@@ -127,7 +127,7 @@ def _write_row_runs(row: Any, start: Any, stop: Any) -> None:
 
 @njit(cache=True)
 def _root(parent: Any, run: int) -> int:
-    """Representative run of this run's component, with path halving."""
+    """Return the representative run of this run's component, with path halving."""
     while parent[run] != run:
         parent[run] = parent[parent[run]]
         run = parent[run]
@@ -136,7 +136,7 @@ def _root(parent: Any, run: int) -> int:
 
 @njit(cache=True)
 def _join_runs(first: Any, start: Any, stop: Any) -> tuple[Any, int]:
-    """Component of each run, numbered by first appearance, and the number of components."""
+    """Return the component of each run, numbered by first appearance, and the number of components."""
     parent = np.arange(start.size)
     for r in range(1, first.size - 1):
         above, here = first[r - 1], first[r]
@@ -184,7 +184,7 @@ def _moment(z: Any, weight: Any) -> Any:
 
 @njit(cache=True, fastmath=REASSOCIATE)
 def row_sum(values: Any) -> Any:
-    """Sum of a row or a part of one."""
+    """Return the sum of a row or a part of one."""
     total = 0.0
     for c in range(values.size):
         total += values[c]

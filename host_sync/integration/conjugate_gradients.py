@@ -46,7 +46,7 @@ def conjugate_gradients(
     tolerance: float,
     max_cycles: int,
 ) -> KrylovSolution:
-    """Solution of the level's system.
+    """Return the solution of the level's system.
 
     rhs : float64 array of shape (H, W) whose sum over each component is zero; its unit is that of the heights
     start : float64 array of shape (H, W), initial heights; overwritten
@@ -94,7 +94,7 @@ def laplacian(level: GridLevel, z: Float64Array) -> Float64Array:
 
 
 def _inner(a: Float64Array, b: Float64Array) -> float:
-    """Inner product; the order of summation does not depend on the number of threads."""
+    """Return the inner product; the order of summation does not depend on the number of threads."""
     return float((a * b).sum())
 
 
@@ -103,7 +103,7 @@ def _rms(values: Float64Array) -> float:
 
 
 def _remaining_error(steps: list[float]) -> float:
-    """Estimated error: sum of all later steps if they keep falling at the rate of the last window."""
+    """Return the estimated error: sum of all later steps if they keep falling at the rate of the last window."""
     if len(steps) <= WINDOW:
         return float("inf")
     recent, before = max(steps[-WINDOW // 2 :]), max(steps[-WINDOW - 1 : -WINDOW // 2])

@@ -1,4 +1,4 @@
-"""Where a height map has its zero: skin that nothing touches.
+"""Skin that nothing touches, where a height map has its zero.
 
 It is flat over a patch, not only at a pixel, and reaches the frame's border; the plateau of an object is flat too, and
 the skin that sinks towards rest around it is nearly so. As only patches count, the search works on cells of several
@@ -57,7 +57,7 @@ def skin_at_rest(gradients: GradientField) -> MaskArray | None:
 
 
 def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
-    """Median height of the untouched skin, µm; 0 when none has a height."""
+    """Return the median height of the untouched skin, µm; 0 when none has a height."""
     step = max(1, int(np.sqrt(at_rest.size / MAX_SAMPLES)))
     sample = height.z_um[::step, ::step]
     heights = sample[at_rest[::step, ::step] & np.isfinite(sample)]
@@ -65,14 +65,14 @@ def height_of_rest_um(height: HeightMap, at_rest: MaskArray) -> float:
 
 
 def zero_to_datum(height: HeightMap, at_rest: MaskArray) -> HeightMap:
-    """The height map with zero at the median of the untouched skin."""
+    """Return the height map with zero at the median of the untouched skin."""
     return HeightMap(height.z_um - np.float32(height_of_rest_um(height, at_rest)), height.pitch_um)
 
 
 def cell_sums(
     p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Sums of p and q, and number of valid pixels, in cells of `cell` x `cell` pixels: float32 arrays."""
+    """Return sums of p and q, and number of valid pixels, in cells of `cell` x `cell` pixels: float32 arrays."""
     rows, columns = valid.shape
     sums = np.zeros((3, (rows + cell - 1) // cell, (columns + cell - 1) // cell), np.float32)
     parallel_rows(_add_cells, (sums.shape[1], columns), p, q, valid, cell, *sums)
@@ -99,7 +99,7 @@ class SurfaceCells:
     def of(
         cls, height: HeightMap, gradients: GradientField, zero_um: float, skin: MaskArray, cell: int
     ) -> SurfaceCells:
-        """Sums over cells of `cell` x `cell` pixels of a height map (H, W) and its slopes.
+        """Return sums over cells of `cell` x `cell` pixels of a height map (H, W) and its slopes.
 
         At the field's border cells may hold fewer pixels.
 
@@ -195,7 +195,7 @@ def _add_row(p: Any, q: Any, valid: Any, p_sum: Any, q_sum: Any, count: Any) -> 
 
 
 def _reaching_the_border(mask: MaskArray) -> MaskArray:
-    """The connected parts of a mask that touch the frame's border."""
+    """Return the connected parts of a mask that touch the frame's border."""
     _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     reaching = np.zeros(labels.max() + 1, np.bool_)
@@ -207,7 +207,7 @@ def _reaching_the_border(mask: MaskArray) -> MaskArray:
 def cell_means(
     p: Float32Array, q: Float32Array, valid: MaskArray, cell: int
 ) -> tuple[Float32Array, Float32Array, MaskArray]:
-    """Mean slopes of cells of `cell` x `cell` pixels, 0 for those without a slope, and which have one."""
+    """Return the mean slopes of cells of `cell` x `cell` pixels, 0 for those without a slope, and which have one."""
     p_sum, q_sum, count = cell_sums(p, q, valid, cell)
     known = count > 0.0
     number: Float32Array = np.maximum(count, np.float32(1.0)).astype(np.float32)
@@ -274,13 +274,13 @@ def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> b
 
 
 def _around(mask: MaskArray, cells: int) -> MaskArray:
-    """Cells that are no farther from a mask."""
+    """Return cells that are no farther from a mask."""
     square = np.ones((2 * cells + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(mask.astype(np.uint8), square).astype(np.bool_))
 
 
 def _power(slopes: NDArray[np.floating]) -> Float32Array:
-    """Mean square nearby of slopes (2, h, w) without their long waves."""
+    """Return the mean square nearby of slopes (2, h, w) without their long waves."""
     fine = [part - cv2.GaussianBlur(part, (0, 0), LONGEST_CELLS) for part in slopes.astype(np.float32)]
     square = np.asarray(fine[0] * fine[0] + fine[1] * fine[1], np.float32)
     return np.asarray(cv2.GaussianBlur(square, (0, 0), LONGEST_CELLS), np.float32)

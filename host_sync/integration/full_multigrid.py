@@ -45,14 +45,15 @@ DirectSolver = Callable[[GridLevel], None]
 
 
 def direct_solver(level: GridLevel) -> DirectSolver:
-    """The solver for this level, for any right-hand side."""
+    """Return the solver for this level, for any right-hand side."""
     if level.weight_x is None:
         return _solve_by_cosines
     return partial(_solve_by_inverse, pseudo_inverse(level))
 
 
 def pseudo_inverse(level: GridLevel) -> Float64Array:
-    """Pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W): least squares, free means zero."""
+    """Return the pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W): least squares, free means
+    zero."""
     weight_x, weight_y = (weights.astype(np.float64) for weights in edge_weights(level))
     rows, columns = level.shape
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -92,7 +93,7 @@ def _solve_by_cosines(level: GridLevel) -> None:
 
 @lru_cache(maxsize=4)
 def _inverse_eigenvalues(shape: tuple[int, int]) -> Float64Array:
-    """Inverse eigenvalues of the Laplacian, float64 array of this shape; 0 for the mean."""
+    """Return the inverse eigenvalues of the Laplacian, float64 array of this shape; 0 for the mean."""
     return np.asarray(1.0 / eigenvalues(shape))
 
 
@@ -151,7 +152,8 @@ def nested_cycles(levels: list[GridLevel], solve: DirectSolver, cycles: int, aft
 
 @cache
 def smoothing(times: int = 1) -> Float32Array:
-    """Relaxation factors, float32 array: for one smoothing, or (2) after a correction and before the next."""
+    """Return the relaxation factors, float32 array: for one smoothing, or (2) after a correction and before the
+    next."""
     return np.tile(chebyshev_steps(SWEEPS), times)
 
 
@@ -207,7 +209,7 @@ def full_multigrid(
     tolerance: float | None,
     max_cycles: int,
 ) -> Solution:
-    """Least-squares heights, in one of the two arrays `heights` or in a new one.
+    """Return the least-squares heights, in one of the two arrays `heights` or in a new one.
 
     levels : coarse levels, finest first
     components : those of a weighted field; started when coarse levels leave a thread idle
@@ -230,7 +232,8 @@ def _conjugate_gradients(
     solution: Solution,
     max_cycles: int,
 ) -> Solution:
-    """The solution by conjugate gradients, preconditioned by V-cycles on undamped levels, which cannot diverge."""
+    """Return the solution by conjugate gradients, preconditioned by V-cycles on undamped levels, which cannot
+    diverge."""
     finest = build_level(field)
     solve = _coarse_solution(field, levels, 0.0).solve
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
@@ -246,7 +249,7 @@ def _conjugate_gradients(
 
 
 def _solve_directly(field: FineLevel, tolerance: float | None) -> Solution:
-    """The solution of a field so small that it is its own coarsest level."""
+    """Return the solution of a field so small that it is its own coarsest level."""
     level = build_level(field)
     direct_solver(level)(level)
     error = 0.0 if np.isfinite(level.z).all() else float("nan")
@@ -356,19 +359,19 @@ MAX_RATIO: Final = 0.9
 
 
 def stalls(corrections: list[float]) -> bool:
-    """True where the last cycle contracted too little for more V-cycles to be worthwhile."""
+    """Return True where the last cycle contracted too little for more V-cycles to be worthwhile."""
     return len(corrections) > 2 and corrections[-1] > SLOW_CONTRACTION * corrections[-2]
 
 
 def remaining_error(corrections: list[float], coarse_error: float) -> float:
-    """Estimated error after the last of these corrections; `coarse_error` is what the coarse levels left."""
+    """Return the estimated error after the last of these corrections; `coarse_error` is what the coarse levels left."""
     if len(corrections) == 1:
         return CYCLE_FRACTION * corrections[0] + coarse_error
     return geometric_tail(corrections, SLOWDOWN)
 
 
 def geometric_tail(corrections: list[float], slowed: float = 0.0) -> float:
-    """Sum of the remaining corrections, extrapolated as a geometric series; 0 after a single cycle.
+    """Return the sum of the remaining corrections, extrapolated as a geometric series; 0 after a single cycle.
 
     slowed : fraction by which the ratio of successive corrections is moved towards 1
     """

@@ -83,7 +83,7 @@ def validate_field(gradients: GradientField) -> FieldInfo:
 
 
 def _normalize(weight: Float32Array, largest: float) -> Float32Array:
-    """The weights divided by the largest, 0 where the quotient is below `MIN_WEIGHT`."""
+    """Return the weights divided by the largest, 0 where the quotient is below `MIN_WEIGHT`."""
     fractions = weight.astype(np.float64) / largest
     return np.where(fractions >= MIN_WEIGHT, fractions, 0.0).astype(np.float32)
 
@@ -182,7 +182,7 @@ MIN_TOLERANCE_PX: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class IntegrationReport:
-    """What the solver did.
+    """Cycles and errors of a solution.
 
     cycles : V-cycles on the finest level; 0 where full multigrid was accurate enough
     residuals : root mean square residual in each of them, after its first smoothing, pixels times weight
@@ -206,7 +206,7 @@ def integrate(
     tolerance_px: float | None = None,
     max_cycles: int = 200,
 ) -> tuple[HeightMap, IntegrationReport]:
-    """Least-squares height map and a report; as `Integrator.integrate`, for a single field."""
+    """Return the least-squares height map and a report; as `Integrator.integrate`, for a single field."""
     solver = Integrator(gradients.valid.shape)
     return solver.integrate(gradients, pitch_um, edges=edges, tolerance_px=tolerance_px, max_cycles=max_cycles)
 
@@ -234,7 +234,7 @@ class Integrator:
         max_cycles: int = 200,
         out: Float32Array | None = None,
     ) -> tuple[HeightMap, IntegrationReport]:
-        """Least-squares height map and a report.
+        """Return the least-squares height map and a report.
 
         A pixel that is invalid or weighs less than `MIN_WEIGHT` of the largest is a hole, NaN in the result. Each
         connected component has a weighted mean of zero.
@@ -284,7 +284,7 @@ class Integrator:
         )
 
     def _coarser(self, weighted: bool) -> list[GridLevel]:
-        """Coarse levels, allocated when first needed."""
+        """Return the coarse levels, allocated when first needed."""
         if weighted not in self._levels:
             rows, columns = self._shape
             self._levels[weighted] = coarser_levels((rows, columns), weighted)
@@ -292,7 +292,7 @@ class Integrator:
 
 
 def _fine_level(gradients: GradientField, found: FieldInfo, edges: EdgeRule, pitch_um: float) -> FineLevel:
-    """The field as the finest level; the pitch goes into the edge coefficients, so heights come out in µm."""
+    """Return the field as the finest level; the pitch goes into the edge coefficients, so heights come out in µm."""
     p, q = (np.ascontiguousarray(slope, np.float32) for slope in (gradients.p, gradients.q))
     rule = np.float32(pitch_um) * edge_coefficients(edges)
     return FineLevel(p, q, found.weight, np.float32(1.0 / found.largest), rule, MIN_TOLERANCE_PX * pitch_um)
@@ -316,5 +316,5 @@ def compile_integration() -> None:
 
 
 def _flat(weight: Float32Array) -> GradientField:
-    """Slopes of zero with these weights."""
+    """Return slopes of zero with these weights."""
     return GradientField(np.zeros_like(weight), np.zeros_like(weight), weight > 0.0, weight)

@@ -44,13 +44,13 @@ _COEFFICIENTS: Final = {
 
 
 def edge_coefficients(rule: EdgeRule) -> Float32Array:
-    """Coefficients (α, β, γ) of α g_a + β g_b + γ ((g_a + g_b) - (g_o + g_p)), float32."""
+    """Return coefficients (α, β, γ) of α g_a + β g_b + γ ((g_a + g_b) - (g_o + g_p)), float32."""
     return np.asarray(_COEFFICIENTS[rule], np.float32)
 
 
 @njit(cache=True, error_model="numpy")
 def _edge_weight(w_a: Any, w_b: Any) -> Any:
-    """Harmonic mean of two non-negative weights, 0 where either is a hole."""
+    """Return the harmonic mean of two non-negative weights, 0 where either is a hole."""
     return np.float32(2.0) * w_a * (w_b / max(w_a + w_b, TINY))
 
 
@@ -152,13 +152,13 @@ ZERO: Final = np.float32(0.0)
 
 @njit(inline="always")
 def first_of(row: Any, pair: int) -> Any:
-    """The first pixel of a pair; both must be finite."""
+    """Return the first pixel of a pair; both must be finite."""
     return row[2 * pair] + ZERO * row[2 * pair + 1]
 
 
 @njit(inline="always")
 def second_of(row: Any, pair: int) -> Any:
-    """The second pixel of a pair; both must be finite."""
+    """Return the second pixel of a pair; both must be finite."""
     return row[2 * pair + 1] + ZERO * row[2 * pair]
 
 
@@ -216,7 +216,7 @@ class GridLevel:
 
 
 def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
-    """A level with uninitialized arrays."""
+    """Return a level with uninitialized arrays."""
     rows, columns = shape
     weight_x, weight_y = (rows, columns + 1), (rows + 1, columns)
     return GridLevel(
@@ -228,7 +228,8 @@ def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
 
 
 def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
-    """All coarse levels for a field of this shape, 2:1 with sizes rounded up, down to one that is solved directly.
+    """Return all coarse levels for a field of this shape, 2:1 with sizes rounded up, down to one that is solved
+    directly.
 
     Without weights, cells at an odd end hold half as many edges: from there on levels have weights.
     """
@@ -257,14 +258,14 @@ def _write_odd_weights(level: GridLevel, rows: int, columns: int) -> None:
 
 
 def edge_weights(level: GridLevel) -> tuple[Float32Array, Float32Array]:
-    """Weights of the edges left of and above each pixel; ones where the level stores none."""
+    """Return weights of the edges left of and above each pixel; ones where the level stores none."""
     if level.weight_x is not None and level.weight_y is not None:
         return level.weight_x, level.weight_y
     return unit_weights(level.shape)
 
 
 def unit_weights(shape: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
-    """Weights of a full rectangle's edges: 1 between pixels, 0 at the ends."""
+    """Return weights of a full rectangle's edges: 1 between pixels, 0 at the ends."""
     rows, columns = shape
     weight_x, weight_y = np.ones((rows, columns + 1), np.float32), np.ones((rows + 1, columns), np.float32)
     weight_x[:, 0] = weight_x[:, -1] = 0.0

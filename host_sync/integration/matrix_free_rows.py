@@ -91,7 +91,7 @@ def weighted_offsets(
 
 @njit(cache=True, fastmath=CONTRACT, error_model="numpy")
 def conductance(edge: Any, before: Any, after: Any, damping: Any) -> Any:
-    """Contribution of a fine edge to the weight of the coarse edge that crosses it.
+    """Return the contribution of a fine edge to the weight of the coarse edge that crosses it.
 
     A mean of two bounds, with weights 1 - `damping` and `damping`: neighbouring paths joined (half the edge), or
     separate (the edge in series with half of the one `before` and half of the one `after` it). Where weights vary, the
@@ -144,7 +144,7 @@ def coarse_y_edges(
 
 
 def build_level(field: FineLevel) -> GridLevel:
-    """The pixels' own level with all its edges and its right-hand side stored."""
+    """Return the pixels' own level with all its edges and its right-hand side stored."""
     level = new_level((field.p.shape[0], field.p.shape[1]), field.weight is not None)
     _write_edges(
         field.p, field.q, field.weight, field.scale, field.rule, level.weight_x, level.slope_x, level.weight_y,
@@ -252,7 +252,7 @@ def load_or_build_row(
 
 @njit(cache=True)
 def ring(rows: int, columns: int) -> Any:
-    """A float32 array of zeros, used as a ring buffer of rows."""
+    """Return a float32 array of zeros, used as a ring buffer of rows."""
     return np.zeros((rows, columns), np.float32)
 
 

@@ -25,7 +25,8 @@ REASSOCIATE: Final = {"reassoc", "nsz", "contract"}
 
 
 def chebyshev_steps(sweeps: int) -> Float32Array:
-    """Relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST, HIGHEST]."""
+    """Return the relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST,
+    HIGHEST]."""
     angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * sweeps)
     return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
 
@@ -101,7 +102,7 @@ def unit_residual_row(up: Any, mid: Any, low: Any, rhs: Any, out: Any) -> None:
 def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, step: Any, out: Any) -> None:
     """Write a row of z + step (b - Az) / 4 where every edge weighs 1, without padding.
 
-    The divisor is 4 at the border too, where a pixel has fewer neighbours: then the steps keep the operator's
+    The denominator is 4 at the border too, where a pixel has fewer neighbours: then the steps keep the operator's
     eigenvectors, cosines, and Σ z does not change.
     """
     scale = np.float32(0.25) * step
@@ -112,7 +113,7 @@ def unit_relax_row(up: Any, mid: Any, low: Any, rhs: Any, step: Any, out: Any) -
 
 @njit(cache=True, fastmath=REASSOCIATE)
 def square_sum(row: Any) -> Any:
-    """Sum of a row's squares."""
+    """Return the sum of a row's squares."""
     total = np.float32(0.0)
     for c in range(row.size):
         total += row[c] * row[c]
@@ -121,7 +122,7 @@ def square_sum(row: Any) -> Any:
 
 @njit(cache=True, fastmath=REASSOCIATE)
 def square_difference(a: Any, b: Any) -> Any:
-    """Sum of squared differences of two rows."""
+    """Return the sum of squared differences of two rows."""
     total = np.float32(0.0)
     for c in range(a.size):
         total += (a[c] - b[c]) * (a[c] - b[c])

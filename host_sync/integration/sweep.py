@@ -57,7 +57,7 @@ class SweepNorms:
 
 
 class Task(NamedTuple):
-    """What one pass reads and writes besides the level; members as in `sweep`, empty arrays instead of None."""
+    """Arrays that one pass reads and writes besides the level; members as in `sweep`, empty arrays instead of None."""
 
     steps: Any
     z_in: Any
@@ -122,7 +122,7 @@ def sweep(
 
 
 def root_mean_square(values: Float32Array) -> float:
-    """Root mean square over the sampled rows of a float32 array of shape (H, W)."""
+    """Return the root mean square over the sampled rows of a float32 array of shape (H, W)."""
     squares = np.zeros(len(values))
     parallel_rows(_row_squares, values.shape, values, squares)
     sampled = len(range(0, len(values), row_stride(values.size))) * values.shape[1]
@@ -131,7 +131,7 @@ def root_mean_square(values: Float32Array) -> float:
 
 @njit(cache=True)
 def row_stride(pixels: int) -> int:
-    """Row stride used when sampling a level with this many pixels."""
+    """Return the row stride used when sampling a level with this many pixels."""
     return SAMPLE_STRIDE if pixels > LARGE_PX else 1
 
 

@@ -78,7 +78,7 @@ MIN_CELLS: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Datum:
-    """What a height map's zero is taken from.
+    """Skin that defines a height map's zero.
 
     skin : bool array of shape (H, W), True where heights are zero but for their errors; every valid pixel where no
         skin is untouched
@@ -102,26 +102,27 @@ class Datum:
         return self.zero_sigma_beside_um(0.0)
 
     def zero_sigma_beside_um(self, known_um: float) -> float:
-        """The same beside errors of slopes that let blocks' heights differ by `known_um`, root mean square, µm."""
+        """Return the same beside errors of slopes that let blocks' heights differ by `known_um`, root mean square,
+        µm."""
         share = 1.0 if self.is_relative else SPREAD_SHARE
         left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
         return float(np.hypot(left_um, SINKING_SHARE * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:
-        """Whether no skin is untouched, so that heights have no zero."""
+        """True if no skin is untouched, so that heights have no zero."""
         return self.share <= 0.0
 
     def level(self, height: HeightMap) -> HeightMap:
-        """The height map above this zero."""
+        """Return the height map above this zero."""
         return HeightMap(height.z_um - np.float32(self.zero_um), height.pitch_um)
 
     def of(self, height: HeightMap) -> Datum:
-        """The datum of another height map of the same skin."""
+        """Return the datum of another height map of the same skin."""
         return _no_datum_on(height, self.skin) if self.is_relative else _datum_on(height, self.skin)
 
     def at_rest(self, height: HeightMap, gradients: GradientField) -> Datum:
-        """The same with its zero where skin of a height map with these slopes will have sunk to rest."""
+        """Return the same with its zero where skin of a height map with these slopes will have sunk to rest."""
         if self.is_relative:
             return self
         left_um = height_left_um(height, gradients, self.skin, self.zero_um)
@@ -131,7 +132,7 @@ class Datum:
 def find_datum(
     height: HeightMap, gradients: GradientField, *, are_its_own: bool = False, at_rest: MaskArray | None = None
 ) -> Datum:
-    """The datum of a height map that has these slopes.
+    """Return the datum of a height map that has these slopes.
 
     at_rest : bool array of shape (H, W), skin whose light is that of skin at rest; None to judge by slopes alone
     are_its_own : whether slopes were taken from the height map: then they cannot show what belongs to no surface
@@ -150,7 +151,7 @@ def find_datum(
 
 
 def _datum_on(height: HeightMap, skin: MaskArray) -> Datum:
-    """The datum of a height map whose skin is untouched here."""
+    """Return the datum of a height map whose skin is untouched here."""
     blocks_um = block_medians(height.z_um, skin)
     zero_um = float(trimmed_mean(blocks_um)) if blocks_um.size else height_of_rest_um(height, skin)
     spread_um = float(np.sqrt(((blocks_um - zero_um) ** 2).mean())) if blocks_um.size else 0.0
@@ -158,7 +159,7 @@ def _datum_on(height: HeightMap, skin: MaskArray) -> Datum:
 
 
 def no_datum(height: HeightMap, gradients: GradientField) -> Datum:
-    """What the heights of a map are relative to where no skin is untouched."""
+    """Return what the heights of a map are relative to where no skin is untouched."""
     return _no_datum_on(height, gradients.valid)
 
 
@@ -169,7 +170,7 @@ def _no_datum_on(height: HeightMap, valid: MaskArray) -> Datum:
 
 
 def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> bool:
-    """Whether more than `MAX_UNDER` of the valid field lies clearly under this skin, so that it is touched."""
+    """Return True if more than `MAX_UNDER` of the valid field lies clearly under this skin, so that it is touched."""
     step = max(1, height.z_um.shape[1] // WIDEST_CELLS)
     known_um = height.z_um[::step, ::step]
     known_um = known_um[valid[::step, ::step] & np.isfinite(known_um)]
@@ -203,7 +204,7 @@ def _far_and_low(
 
 
 def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
-    """Index of the pixels at the middles of the cells of the reduced field."""
+    """Return the index of the pixels at the middles of the cells of the reduced field."""
     rows, columns = shape
     across = min(columns, WIDEST_CELLS)
     sizes = (max(1, round(rows * across / columns)), rows), (across, columns)
@@ -211,7 +212,8 @@ def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
 
 
 def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> MaskArray:
-    """The connected parts of a mask that stand about as high as the lowest, and make up `MIN_SHARE` of it together.
+    """Return the connected parts of a mask that stand about as high as the lowest, and make up `MIN_SHARE` of it
+    together.
 
     What is rough all over has small patches that are flat on average; they are none of these.
 
@@ -231,7 +233,8 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> Mas
 
 
 def block_medians(z_um: Float32Array, skin: MaskArray) -> Float64Array:
-    """Median of a map (H, W) over each block of the field that shows enough of this skin, float64 array (blocks,)."""
+    """Return the median of a map (H, W) over each block of the field that shows enough of this skin, float64 array
+    (blocks,)."""
     step = max(1, skin.shape[1] // WIDEST_CELLS)
     z, here = np.ascontiguousarray(z_um[::step, ::step]), skin[::step, ::step]
     side = max(1, z.shape[1] // BLOCKS)
@@ -256,7 +259,8 @@ def _write_medians(z: Any, here: Any, side: int, medians: Any) -> None:
 
 
 def trimmed_mean(values: Float64Array) -> Float64Array:
-    """Mean of N > 0 values, shape (N, ...), along the first axis without the share `TRIMMED` at either end."""
+    """Return the mean of N > 0 values, shape (N, ...), along the first axis without the share `TRIMMED` at either
+    end."""
     # Not scipy.stats: loading it takes as long as reconstructing a small frame.
     cut, count = int(TRIMMED * len(values)), len(values)
     inner = np.partition(values, (cut, count - cut - 1), axis=0)[cut : count - cut]
@@ -270,7 +274,8 @@ def trimmed_mean(values: Float64Array) -> Float64Array:
 
 
 def distance_px(to: MaskArray) -> Float32Array:
-    """Distance of each pixel's middle from that of the nearest True one, pixels: float32 array of shape (H, W).
+    """Return the distance of each pixel's middle from that of the nearest True one, pixels: float32 array of shape (H,
+    W).
 
     to : bool array of shape (H, W), True somewhere
     """
@@ -344,7 +349,7 @@ def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArr
 
 
 def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
-    """The height at which skin is not bent, of heights and bends of shape (N,); 0 where they tell nothing."""
+    """Return the height at which skin is not bent, of heights and bends of shape (N,); 0 where they tell nothing."""
     kept = np.ones(len(z), np.bool_)
     slope, start = 0.0, 0.0
     for _ in range(ROUNDS):
@@ -357,7 +362,7 @@ def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
 
 
 def _line(z: Float64Array, bend: Float64Array) -> tuple[float, float]:
-    """Slope and value at zero of the line of least squares."""
+    """Return the slope and value at zero of the line of least squares."""
     mean, bent = float(z.mean()), float(bend.mean())
     off = z - mean
     slope = float(off @ (bend - bent)) / max(float(off @ off), 1e-300)
@@ -365,7 +370,7 @@ def _line(z: Float64Array, bend: Float64Array) -> tuple[float, float]:
 
 
 def _joined_to(low: MaskArray, resting: MaskArray) -> MaskArray:
-    """The parts of low skin, off its edges and the field's, that hold skin at rest."""
+    """Return the parts of low skin, off its edges and the field's, that hold skin at rest."""
     inner = cv2.erode(low.astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     border = int(2 * SMOOTHING)
     inner[:border], inner[-border:], inner[:, :border], inner[:, -border:] = 0, 0, 0, 0

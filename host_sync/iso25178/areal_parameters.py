@@ -47,7 +47,7 @@ class MaterialRatioCurve:
 
     @classmethod
     def of(cls, z_um: Float32Array) -> MaterialRatioCurve:
-        """The curve of the valid pixels of a surface."""
+        """Return the curve of the valid pixels of a surface."""
         heights = _thinned(np.sort(z_um[np.isfinite(z_um)]))[::-1]
         if heights.size:
             heights -= heights.mean()
@@ -120,7 +120,7 @@ def core_parameters(curve: MaterialRatioCurve) -> dict[str, float]:
 
 
 def core_line(falling: Float64Array) -> tuple[float, float]:
-    """Heights (µm) at 0 and 100 % of the line fitted to the 40 % of the curve with the flattest secant."""
+    """Return heights (µm) at 0 and 100 % of the line fitted to the 40 % of the curve with the flattest secant."""
     span = max(round(CORE_SHARE * falling.size), 2)
     drop = falling[: falling.size - span + 1] - falling[span - 1 :]
     start = int(drop.argmin())
@@ -177,7 +177,8 @@ class Autocorrelation:
         self._pairs = np.maximum(np.rint(self._products(valid.astype(np.float32))), np.float32(0.0))
 
     def of(self, z_um: Float32Array) -> Float32Array:
-        """Autocorrelation, float32 array of shape (2 h + 1, w + 1), shift (0, 0) at (h, 0); NaN with too few pairs."""
+        """Return the autocorrelation, float32 array of shape (2 h + 1, w + 1), shift (0, 0) at (h, 0); NaN with too few
+        pairs."""
         count = float(self._valid.sum())
         level = np.float32(z_um[self._valid].mean(dtype=np.float64)) if count else np.float32(0.0)
         products = self._products(np.where(self._valid, z_um - level, np.float32(0.0)))
@@ -187,7 +188,7 @@ class Autocorrelation:
         return np.asarray(mean / square if square > 0.0 else np.full_like(mean, np.nan), np.float32)
 
     def _products(self, values: Float32Array) -> Float32Array:
-        """Sums of products at each shift, negative rows first: float32 array of shape (2 h + 1, w + 1)."""
+        """Return sums of products at each shift, negative rows first: float32 array of shape (2 h + 1, w + 1)."""
         spectrum = scipy.fft.rfft2(values, self._size)
         power = spectrum.real**2 + spectrum.imag**2
         sums = np.asarray(scipy.fft.irfft2(power, self._size), np.float32)[:, : self._lags[1] + 1]
@@ -195,7 +196,7 @@ class Autocorrelation:
 
 
 def decay(correlation: Float32Array, fallen_to: float = FALLEN_TO) -> Decay:
-    """Decay of an autocorrelation, as `Autocorrelation.of` returns it, around shift (0, 0)."""
+    """Return the decay of an autocorrelation, as `Autocorrelation.of` returns it, around shift (0, 0)."""
     middle = correlation.shape[0] // 2
     if not np.isfinite(correlation[middle, 0]):
         return Decay(float("nan"), float("nan"), reached=False)
@@ -212,7 +213,7 @@ def decay(correlation: Float32Array, fallen_to: float = FALLEN_TO) -> Decay:
 def _first_below(
     correlation: Float32Array, middle: int, angle: float, radius: Float64Array, fallen_to: float
 ) -> tuple[float, float]:
-    """Decay length of a direction (pixels) and 1.0; or the longest evaluated shift and 0.0."""
+    """Return the decay length of a direction (pixels) and 1.0; or the longest evaluated shift and 0.0."""
     row, column = middle + radius * np.sin(angle), radius * np.cos(angle)
     inside = (row >= 0.0) & (row <= correlation.shape[0] - 1) & (column <= correlation.shape[1] - 1)
     row, column = row[inside], column[inside]
@@ -311,14 +312,15 @@ def hybrid_parameters(z_um: Float32Array, pitch_um: float) -> dict[str, float]:
 
 @njit(cache=True, inline="always")
 def _two_triangles(a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Area over a unit square with heights a b / c d, cut along b-c."""
+    """Return the area over a unit square with heights a b / c d, cut along b-c."""
     upper = 0.5 * np.sqrt(1.0 + (b - a) ** 2 + (c - a) ** 2)
     return upper + 0.5 * np.sqrt(1.0 + (d - c) ** 2 + (d - b) ** 2)
 
 
 @njit(cache=True)
 def _slope_sums(z_um: Any, per_um: Any) -> Float64Array:
-    """Sum and number of squared slopes across, the same down, area and number of squares: array of shape (H, 6)."""
+    """Return the sum and number of squared slopes across, the same down, area and number of squares: array of shape (H,
+    6)."""
     rows, columns = z_um.shape
     sums = np.zeros((rows, 6))
     for r in range(rows):

@@ -61,7 +61,7 @@ class RadialSpectrum:
             self._twice[-1] = 1.0
 
     def of(self, z_um: Float32Array) -> PowerSpectrum:
-        """The spectrum of a surface that is finite where valid; bands without a frequency are dropped."""
+        """Return the spectrum of a surface that is finite where valid; bands without a frequency are dropped."""
         weight = float((self._window.astype(np.float64) ** 2).sum())
         mean = np.float32(np.sum(np.where(self._window > 0, z_um, 0.0) * self._window, dtype=np.float64))
         mean /= np.float32(self._window.sum(dtype=np.float64))
@@ -74,7 +74,7 @@ class RadialSpectrum:
 
 
 def _band_edges(step: float, most: float) -> Float64Array:
-    """Band edges: steps of the lowest frequency first, then sixths of an octave from the eighth band on."""
+    """Return the band edges: steps of the lowest frequency first, then sixths of an octave from the eighth band on."""
     even = step * (np.arange(EVEN_BANDS + 1) + 0.5)
     count = max(int(np.ceil(BINS_PER_OCTAVE * np.log2(most / even[-1]))), 1) if most > even[-1] else 0
     return np.concatenate([even[even < most], np.geomspace(even[-1], most, count + 1)[1:] if count else [most]])

@@ -81,8 +81,8 @@ def judge_candidate(c: Any, colour: Any, across: Any, down: Any, settings: Any) 
 
 @njit(forceinline=True, fastmath=FAST, error_model="numpy")
 def _confidence(inverse: Any, far: Any, unexplained: Any, settings: Any) -> Any:
-    """Confidence relative to flat skin: variance through J⁺, reduced for colours far from the model and unexplained
-    gradients."""
+    """Return the confidence relative to flat skin: variance through J⁺, reduced for colours far from the model and
+    unexplained gradients."""
     one = np.float32(1.0)
     precision = min(settings.flat_variance / (inverse[0] + inverse[2]), one)
     near = one / (one + far / (settings.trusted * settings.trusted))
@@ -92,7 +92,7 @@ def _confidence(inverse: Any, far: Any, unexplained: Any, settings: Any) -> Any:
 
 @njit(forceinline=True, fastmath=FAST, error_model="numpy")
 def inverse_gram(c: Any, tikhonov: Any) -> tuple[Any, Any, Any]:
-    """Entries (11, 12, 22) of (JᵀJ + λI)⁻¹ (paper, eq. 5)."""
+    """Return entries (11, 12, 22) of (JᵀJ + λI)⁻¹ (paper, eq. 5)."""
     a = c[5] * c[5] + c[7] * c[7] + c[9] * c[9] + tikhonov
     b = c[5] * c[6] + c[7] * c[8] + c[9] * c[10]
     d = c[6] * c[6] + c[8] * c[8] + c[10] * c[10] + tikhonov
@@ -110,7 +110,7 @@ def pseudo_inverse(c: Any, inverse: Any, x: Any) -> tuple[Any, Any]:
 
 @njit(forceinline=True, fastmath=FAST, error_model="numpy")
 def misfit(c: Any, s: Any, t: Any, x: Any) -> Any:
-    """Squared norm of x - J (s, t)ᵀ."""
+    """Return the squared norm of x - J (s, t)ᵀ."""
     u, v = x[0] - c[5] * s - c[6] * t, x[1] - c[7] * s - c[8] * t
     w = x[2] - c[9] * s - c[10] * t
     return u * u + v * v + w * w
@@ -157,7 +157,8 @@ def estimate_slopes(
     table: LookupTable,
     settings: GateSettings,
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Slopes p, q and confidence of every pixel, float32 arrays of shape (H, W); confidence 0 where p, q are invalid.
+    """Return slopes p, q and confidence of every pixel, float32 arrays of shape (H, W); confidence 0 where p, q are
+    invalid.
 
     values : float32 array of shape (H, W, 3), intensity
     lit : bool array of shape (H, W), where intensity is valid

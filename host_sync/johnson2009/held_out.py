@@ -17,7 +17,7 @@ FOLDS: Final = 3
 
 
 def held_out_paper_deg(presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]]) -> float:
-    """Mean angular error of the normal over held-out balls, degrees; NaN with fewer than two balls."""
+    """Return the mean angular error of the normal over held-out balls, degrees; NaN with fewer than two balls."""
     numbered = [(press, ball) for press, (_, balls) in enumerate(presses) for ball in balls]
     if len(numbered) < 2:
         return float("nan")
@@ -35,7 +35,7 @@ def held_out_paper_deg(presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]]
 
 
 def _ball_error_deg(model: PaperModel, image: NormalizedImage, ball: Ball) -> Float64Array:
-    """Angular error at every usable pixel inside one ball's contact, degrees."""
+    """Return the angular error at every usable pixel inside one ball's contact, degrees."""
     reach = int(np.ceil(ball.contact_radius_px)) + 3
     top, left = max(round(ball.row) - reach, 0), max(round(ball.column) - reach, 0)
     window = (slice(top, round(ball.row) + reach), slice(left, round(ball.column) + reach))

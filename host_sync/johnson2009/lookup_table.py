@@ -84,7 +84,7 @@ def _labels(slopes: Float64Array, first: NDArray[np.int64], most: int) -> NDArra
 
 @njit(cache=True)
 def _modes(members: Float64Array, bandwidth: float) -> Float64Array:
-    """Limit of each slope when moved repeatedly to the mean of its neighbours within the bandwidth."""
+    """Return the limit of each slope when moved repeatedly to the mean of its neighbours within the bandwidth."""
     modes = members.copy()
     reach, rest = bandwidth**2, (1e-2 * bandwidth) ** 2
     for i in range(len(members)):
@@ -102,7 +102,7 @@ def _modes(members: Float64Array, bandwidth: float) -> Float64Array:
 
 @njit(cache=True)
 def _linked(modes: Float64Array, link: float) -> NDArray[np.int64]:
-    """Label of each mode; modes connected by a chain of distances below `link` share one."""
+    """Return the label of each mode; modes connected by a chain of distances below `link` share one."""
     label = np.full(len(modes), -1, np.int64)
     queue = np.empty(len(modes), np.int64)
     found = 0
@@ -170,7 +170,7 @@ class LookupTable(NamedTuple):
         return quantise(intensity, self.low, self.step, len(self.bin_of))
 
     def candidates_of(self, intensity: Float32Array) -> Float32Array:
-        """Candidates of one intensity (3,): float32 array of shape (K, CANDIDATE_FIELDS)."""
+        """Return candidates of one intensity (3,): float32 array of shape (K, CANDIDATE_FIELDS)."""
         i, j, k = self.bin_indices(intensity[None])[0]
         filled = self.bin_of[i, j, k]
         return self.candidates[self.first[filled] : self.first[filled + 1]]
@@ -182,7 +182,7 @@ def quantise(intensity: NDArray[np.floating], low: Float32Array, step: Float32Ar
 
 
 def colour_cube(intensity: Float32Array, noise: float, bins: int = BINS) -> tuple[Float32Array, Float32Array]:
-    """Lower corner and bin size, each of shape (3,), of the cube that holds the observed intensities (N, 3).
+    """Return the lower corner and bin size, each of shape (3,), of the cube that holds the observed intensities (N, 3).
 
     noise : standard deviation of a pixel's intensity; no bin is narrower
     """
@@ -194,7 +194,7 @@ def colour_cube(intensity: Float32Array, noise: float, bins: int = BINS) -> tupl
 def build_table(
     surface: ReflectanceSurface, low: Float32Array, step: Float32Array, untouched: float, bins: int = BINS
 ) -> LookupTable:
-    """Table of a reflectance surface over the colour cube with corner `low` and bin size `step`.
+    """Return the table of a reflectance surface over the colour cube with corner `low` and bin size `step`.
 
     untouched : distance from intensity 1 within which a colour is untouched skin, slope 0
     """
@@ -213,7 +213,7 @@ def build_table(
 
 
 def slopes_of_bin(surface: ReflectanceSurface, table: LookupTable, filled: int) -> Float64Array:
-    """Slopes that were entered into one filled bin of a surface's table, float64 array of shape (N, 2)."""
+    """Return slopes that were entered into one filled bin of a surface's table, float64 array of shape (N, 2)."""
     bins = len(table.bin_of)
     slopes, number = _entries(surface, table.low, table.step, bins)
     # These include empty bins that point to the filled one; no slope was entered into them.
@@ -238,7 +238,7 @@ def _bin_number(index: NDArray[np.intp], bins: int) -> NDArray[np.intp]:
 
 
 def _untouched_bins(low: Float32Array, step: Float32Array, radius: float, bins: int) -> NDArray[np.intp]:
-    """Bins of shape (N, 3) whose centres lie within `radius` of intensity 1, at least the one that holds it."""
+    """Return bins of shape (N, 3) whose centres lie within `radius` of intensity 1, at least the one that holds it."""
     axes = [np.arange(bins, dtype=np.intp)] * 3
     index = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = np.linalg.norm(low + (index + 0.5) * step - 1.0, axis=1)
@@ -247,14 +247,14 @@ def _untouched_bins(low: Float32Array, step: Float32Array, radius: float, bins: 
 
 
 def _flat(surface: ReflectanceSurface) -> Float32Array:
-    """Candidate of untouched skin, shape (1, CANDIDATE_FIELDS): slope 0 at intensity 1."""
+    """Return the candidate of untouched skin, shape (1, CANDIDATE_FIELDS): slope 0 at intensity 1."""
     flat = _packed(surface, np.zeros((1, 2)))
     flat[0, 2:5] = 1.0
     return flat
 
 
 def _dense_slopes(surface: ReflectanceSurface) -> tuple[Float64Array, Float64Array]:
-    """Slopes of shape (N, 2) on a dense grid within reach, and their reflectance of shape (N, 3)."""
+    """Return slopes of shape (N, 2) on a dense grid within reach, and their reflectance of shape (N, 3)."""
     axis = np.linspace(-surface.reach, surface.reach, SLOPE_NODES)
     p, q = np.meshgrid(axis, axis)
     inside = p * p + q * q <= surface.reach**2
@@ -262,7 +262,7 @@ def _dense_slopes(surface: ReflectanceSurface) -> tuple[Float64Array, Float64Arr
 
 
 def _packed(surface: ReflectanceSurface, slopes: Float64Array) -> Float32Array:
-    """Candidates of shape (M, CANDIDATE_FIELDS) at slopes of shape (M, 2)."""
+    """Return candidates of shape (M, CANDIDATE_FIELDS) at slopes of shape (M, 2)."""
     value, jacobian = surface.with_jacobian(slopes[:, 0], slopes[:, 1])
     packed = np.zeros((len(slopes), CANDIDATE_FIELDS), np.float32)
     packed[:, :2], packed[:, 2:5] = slopes, value
@@ -271,7 +271,7 @@ def _packed(surface: ReflectanceSurface, slopes: Float64Array) -> Float32Array:
 
 
 def nearest_filled(filled: NDArray[np.intp], step: Float32Array, bins: int) -> NDArray[np.int32]:
-    """Index of the filled bin with the closest colour for every bin, of shape (bins,) * 3.
+    """Return the index of the filled bin with the closest colour for every bin, of shape (bins,) * 3.
 
     filled : int array of shape (N,), numbers of the filled bins
     step : float32 array of shape (3,), intensity range of a bin

@@ -49,7 +49,8 @@ _MIN_NOISE: Final = 1e-3
 
 
 def pixel_noise(samples: BallSamples) -> float:
-    """Standard deviation of intensity from pixel to pixel, mean of the channels, from second differences along rows."""
+    """Return the standard deviation of intensity from pixel to pixel, mean of the channels, from second differences
+    along rows."""
     column, row, ball = samples.column, samples.row, samples.ball
     beside = (column[2:] - column[:-2] == 2) & (row[2:] == row[:-2]) & (ball[2:] == ball[:-2])
     if not beside.any():
@@ -61,7 +62,7 @@ def pixel_noise(samples: BallSamples) -> float:
 
 
 def gate_settings(maps: ReflectanceMaps, surface: ReflectanceSurface, noise: float) -> GateSettings:
-    """Settings of the kernel for a calibration with this pixel `noise`."""
+    """Return settings of the kernel for a calibration with this pixel `noise`."""
     colour = max(float(np.mean(maps.scatter**2)), noise**2)
     tikhonov = colour / STEP_SPREAD**2
     noise_error = 3.0 * SOBEL_VARIANCE * noise**2
@@ -130,7 +131,7 @@ def fit_paper_model(samples: BallSamples) -> PaperModel:
 
 
 def estimate_gradients(model: PaperModel, image: NormalizedImage) -> GradientField:
-    """Slope, validity and relative confidence of every pixel (paper, eqs. 5 to 8)."""
+    """Return the slope, validity and relative confidence of every pixel (paper, eqs. 5 to 8)."""
     values, lit = np.ascontiguousarray(image.values, np.float32), np.ascontiguousarray(image.valid)
     p, q, weight = estimate_slopes(values, lit, model.table, model.settings)
     weight[image.clipped] *= np.float32(CLIPPED_CONFIDENCE)
@@ -138,7 +139,8 @@ def estimate_gradients(model: PaperModel, image: NormalizedImage) -> GradientFie
 
 
 def integrate_forward_difference(gradients: GradientField, pitch_um: float) -> tuple[HeightMap, IntegrationReport]:
-    """Height map that minimizes the paper's E (eqs. 9 and 10), and a report; pixels without a slope are holes.
+    """Return the height map that minimizes the paper's E (eqs. 9 and 10), and a report; pixels without a slope are
+    holes.
 
     E(z) = Σ (∂f/∂x - p)² + (∂f/∂y - q)² with ∂f/∂x = f(x + 1, y) - f(x, y): a pixel's slope is used as the height
     difference to its next neighbour, half a pixel off, and every pixel has the same weight. The default method averages

@@ -65,7 +65,7 @@ class ReflectanceMaps:
 
 
 def sample_reflectance(samples: BallSamples) -> ReflectanceMaps:
-    """Mean, variance and count of intensity in every cell of the slope grid.
+    """Return the mean, variance and count of intensity in every cell of the slope grid.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def _reach(p: Float32Array, q: Float32Array) -> float:
 
 
 def _moments(index: NDArray[np.intp], values: Float32Array, count: NDArray[np.int64]) -> tuple[Float64Array, ...]:
-    """Mean and unbiased variance by cell, each of shape (CELLS, CELLS, 3)."""
+    """Return the mean and unbiased variance by cell, each of shape (CELLS, CELLS, 3)."""
     shape = (CELLS, CELLS, 3)
     mean, variance = np.full((count.size, 3), np.nan), np.full((count.size, 3), np.nan)
     some, several = count > 0, count > 1

@@ -75,7 +75,7 @@ def harmonics(p: NDArray[Any], q: NDArray[Any], order: int) -> tuple[Float64Arra
 def _chain(
     by_normal: tuple[Float64Array, ...], normal: tuple[Float64Array, ...], slope: Float64Array, axis: int
 ) -> Float64Array:
-    """Derivative along a slope: ∂n/∂slope = -(e_axis z + n slope z²)."""
+    """Return the derivative along a slope: ∂n/∂slope = -(e_axis z + n slope z²)."""
     z = normal[2]
     total = np.zeros_like(by_normal[0])
     for component, (derivative, part) in enumerate(zip(by_normal, normal, strict=True)):
@@ -171,7 +171,7 @@ class ReflectanceSurface:
 
 
 def reflectance_surface(maps: ReflectanceMaps, harmonics: HarmonicFit) -> ReflectanceSurface:
-    """Surface through the observed maps, extended a little by the harmonics."""
+    """Return the surface through the observed maps, extended a little by the harmonics."""
     from scipy.interpolate import RectBivariateSpline  # here, because reading the fitted model needs no spline
 
     margin = int(np.ceil(EXTENSION * len(maps.count) / 2)) + 2
@@ -187,7 +187,7 @@ def reflectance_surface(maps: ReflectanceMaps, harmonics: HarmonicFit) -> Reflec
 
 
 def _smoothed_remainder(maps: ReflectanceMaps, model: Float64Array, margin: int) -> Float64Array:
-    """Observed minus modelled reflectance, averaged and shrunk, on the extended grid.
+    """Return the observed minus modelled reflectance, averaged and shrunk, on the extended grid.
 
     The remainder has a variance of its own, and an observed cell adds the scatter over its count. Their ratio is the
     count at which the remainder is shrunk to half.

@@ -83,7 +83,7 @@ def prune_cache(environment: Mapping[str, str] = os.environ, now_s: float | None
 
 
 def _stamps(folder: str) -> Iterator[str]:
-    """Path, size and time of each source file below a folder."""
+    """Yield the path, size and time of each source file below a folder."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.endswith(".py"):

@@ -25,24 +25,24 @@ WHOLE_CELL: Final = 0.999
 
 
 def cell_px(shape: tuple[int, ...]) -> int:
-    """Pixels along a cell of a field of `shape` (H, W)."""
+    """Return pixels along a cell of a field of `shape` (H, W)."""
     return -(-shape[1] // WIDEST_CELLS)
 
 
 def middles_of_cells(size: tuple[int, ...], cell: int) -> tuple[Float64Array, Float64Array]:
-    """Rows and columns of the middles of `size` (h, w) cells of `cell` x `cell` pixels, shape (h,) and (w,)."""
+    """Return rows and columns of the middles of `size` (h, w) cells of `cell` x `cell` pixels, shape (h,) and (w,)."""
     rows, columns = (np.arange(count, dtype=np.float64) * cell + 0.5 * (cell - 1) for count in size[:2])
     return np.asarray(rows), np.asarray(columns)
 
 
 def means_of_cells(values: Float32Array, size: tuple[int, int], cell: int) -> Float64Array:
-    """Means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
+    """Return means over cells of values (H, W, C), float64 array of shape (h, w, C)."""
     channels = [_means(np.ascontiguousarray(plane), size, cell) for plane in np.moveaxis(values, -1, 0)]
     return np.stack(channels, axis=-1).astype(np.float64)
 
 
 def _means(plane: Float32Array, size: tuple[int, int], cell: int) -> Float32Array:
-    """Means over cells of a plane (H, W), whose last row and column are repeated to the end of a cell."""
+    """Return means over cells of a plane (H, W), whose last row and column are repeated to the end of a cell."""
     found = np.empty(size, np.float32)
     cells = (_whole_and_cut(pixels, count, cell) for pixels, count in zip(plane.shape, size, strict=True))
     for down, across in product(*cells):
@@ -64,13 +64,15 @@ def _whole_and_cut(pixels: int, count: int, cell: int) -> list[slice]:
 
 
 def bordered(planes: Float32Array) -> Float32Array:
-    """Planes of cells (T, h, w) with the border cells once more around them: contiguous, shape (T, h + 2, w + 2)."""
+    """Return planes of cells (T, h, w) with the border cells once more around them: contiguous, shape (T, h + 2, w +
+    2)."""
     return np.ascontiguousarray(np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode="edge"), np.float32)
 
 
 @njit(cache=True)
 def cells_above(row: int, cell: int, count: int) -> Any:
-    """Index of the bordered row of cells whose middle lies above a row of pixels, and its share of the way down."""
+    """Return the index of the bordered row of cells whose middle lies above a row of pixels, and its share of the way
+    down."""
     at = (row - 0.5 * (cell - 1)) / cell + 1.0
     top = min(max(int(at), 0), count - 2)
     return top, np.float32(at - top)
@@ -78,8 +80,8 @@ def cells_above(row: int, cell: int, count: int) -> Any:
 
 @njit(cache=True)
 def expanded_at(planes: Any, row: int, cell: int, expanded: int, upper: Any, step: Any) -> Any:
-    """The bordered row of cells above a row of pixels, brought to all columns unless it is the one that is, and the
-    pixels' share of the way down.
+    """Return the bordered row of cells above a row of pixels, brought to all columns unless it is the one that is, and
+    the pixels' share of the way down.
 
     expanded : the row that `upper` and `step`, as of `expand_cells`, hold; -1 for none
     """

@@ -61,7 +61,8 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Any], Any]:
 
 
 def kernel_digest(kernel: Any) -> bytes:
-    """Digest of everything that decides what a kernel computes, apart from its argument types and the machine.
+    """Return the digest of everything that decides what a kernel computes, apart from its argument types and the
+    machine.
 
     Raises
     ------
@@ -132,7 +133,8 @@ class _KernelCache(_Cache):
             Path(stream.name).replace(path)
 
     def _path(self, signature: object, codegen: Any) -> Path:
-        """File of a signature; the kernel's digest is taken at the first call, when all that it calls is defined."""
+        """Return the file of a signature; the kernel's digest is taken at the first call, when all that it calls is
+        defined."""
         if self._digest is None:
             self._digest = kernel_digest(self._kernel)
         facts = (signature, codegen.magic_tuple(), numba.__version__, llvmlite.__version__, sys.version_info[:2])

@@ -68,6 +68,6 @@ def _set(library: Any, settings: dict[int, int]) -> None:
 
 @cache
 def _c_library() -> Any:
-    """The C library, None where it has no such settings."""
+    """Return the C library, None where it has no such settings."""
     library = ctypes.CDLL(None)
     return library if hasattr(library, "mallopt") and hasattr(library, "malloc_trim") else None

@@ -69,7 +69,7 @@ class BackgroundCall(Generic[Result]):
         return self._wait
 
     def result(self) -> Result:
-        """Result of the function; waits for it."""
+        """Return the result of the function; waits for it."""
         return self.start()()
 
     def _submit(self) -> Callable[[], Result]:
@@ -86,7 +86,7 @@ def _run_single_threaded(call: Callable[[], Result]) -> Result:
 
 @cache
 def _helpers(_process: int) -> ThreadPoolExecutor:
-    """Threads of a process; a forked process has none of its parent's and gets new ones."""
+    """Return threads of a process; a forked process has none of its parent's and gets new ones."""
     return ThreadPoolExecutor(os.cpu_count(), "rows")
 
 

@@ -21,12 +21,13 @@ def empty_planes(shape: tuple[int, int]) -> Float32Array:
 
 
 def in_planes(image: Float32Array) -> Float32Array:
-    """The image, of shape (H, W, 3), stored plane by plane: itself or a copy."""
+    """Return the image, of shape (H, W, 3), stored plane by plane: itself or a copy."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(image, -1, 0)), 0, -1)
 
 
 def as_stored(image: Float32Array) -> tuple[Float32Array, bool]:
-    """Image of shape (H, W, 3) as a C-contiguous array, and whether that holds planes, of shape (3, H, W)."""
+    """Return the image of shape (H, W, 3) as a C-contiguous array, and whether that holds planes, of shape (3, H,
+    W)."""
     planes = np.moveaxis(image, -1, 0)
     if planes.flags.c_contiguous:
         return planes, True
@@ -35,7 +36,7 @@ def as_stored(image: Float32Array) -> tuple[Float32Array, bool]:
 
 @njit(cache=True)
 def colour_rows(stored: Any, by_plane: bool, row: int, first: int, last: int, spare: Any) -> Any:
-    """Three colours of the columns `first` to `last` - 1 of a row, float32 arrays of shape (n,).
+    """Return three colours of the columns `first` to `last` - 1 of a row, float32 arrays of shape (n,).
 
     stored, by_plane : as `as_stored` returns them
     spare : float32 array of shape (3, n) or more, used where pixels must be separated

@@ -84,7 +84,7 @@ class Hit:
 
 
 def search(library: Library, query: Query) -> list[Hit]:
-    """The scans that match a query, by device and in the order of their presses.
+    """Return the scans that match a query, by device and in the order of their presses.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def _answers(hit: Hit, query: Query) -> bool:
 
 
 def damaged_bundles(library: Library) -> list[str]:
-    """A sentence for each bundle of the library that cannot be read.
+    """Return a sentence for each bundle of the library that cannot be read.
 
     Raises
     ------
@@ -132,13 +132,13 @@ def damaged_bundles(library: Library) -> list[str]:
 
 
 def files_by_hash(library: Library) -> dict[str, Path]:
-    """A file of the library for each SHA-256 in its manifests: hash it before trusting it."""
+    """Return a file of the library for each SHA-256 in its manifests: hash it before trusting it."""
     rows = _ask(library, "SELECT sha256, kind, id, name FROM file", {})
     return {sha256: library.root / kind / bundle_id / name for sha256, kind, bundle_id, name in rows}
 
 
 def _ask(library: Library, sql: str, values: dict[str, str]) -> list[tuple[Any, ...]]:
-    """Rows of an up-to-date index; a damaged one is rebuilt first."""
+    """Return rows of an up-to-date index; a damaged one is rebuilt first."""
     library.require()
     path = library.root / INDEX_FILE
     with library.translating("read"):
@@ -162,7 +162,7 @@ def _ask_once(path: Path, root: Path, sql: str, values: dict[str, str]) -> list[
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    """The index in a file, empty when new or of another version; in memory when the file cannot be opened."""
+    """Return the index in a file, empty when new or of another version; in memory when the file cannot be opened."""
     try:
         return _prepared(sqlite3.connect(path, timeout=30.0))
     except sqlite3.OperationalError:
@@ -240,7 +240,7 @@ def _insert(index: sqlite3.Connection, kind: BundleKind, bundle: AnyBundle, stam
 
 
 def _facts(bundle: AnyBundle) -> dict[str, str | int | None]:
-    """The columns of a bundle's row."""
+    """Return the columns of a bundle's row."""
     record = bundle.record
     facts: dict[str, str | int | None] = {
         "device": record.identity.device_id,

@@ -84,7 +84,7 @@ class IntakeHistory:
 
 
 def read_intake(root: Path) -> IntakeHistory:
-    """The intake record of a library; empty without a fault when the library never had one.
+    """Return the intake record of a library; empty without a fault when the library never had one.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def write_head(root: Path) -> None:
 
 
 def _continuing(line: bytes, path: Path, count: int, previous: str) -> IntakeEntry:
-    """The entry of a line after `count` others, the last of which has the hash `previous`."""
+    """Return the entry of a line after `count` others, the last of which has the hash `previous`."""
     entry = decode_record(line, IntakeEntry, f"{path}, line {count + 1}", _REMEDY)
     if (entry.number, entry.previous) != (count + 1, previous):
         raise RecordError(f"{path}: line {count + 1} does not continue line {count}: {_REMEDY}")
@@ -204,7 +204,7 @@ def _head_fault(root: Path, head: IntakeHead | str | None, count: int, at_head: 
 
 
 def _read_head(root: Path) -> IntakeHead | str | None:
-    """The head; None when it is missing, a sentence when it is damaged."""
+    """Return the head; None when it is missing, a sentence when it is damaged."""
     path = root / HEAD_FILE
     try:
         with os.fdopen(open_regular(path), "rb") as stream:
@@ -216,7 +216,7 @@ def _read_head(root: Path) -> IntakeHead | str | None:
 
 
 def _lines(stream: BinaryIO) -> Iterator[bytes]:
-    """The complete lines without their newline; one that a power cut left unfinished counts as absent."""
+    """Yield the complete lines without their newline; one that a power cut left unfinished counts as absent."""
     while line := stream.readline(_MAX_LINE_BYTES):
         if not line.endswith(b"\n"):
             if len(line) == _MAX_LINE_BYTES or stream.read(1):
@@ -226,7 +226,7 @@ def _lines(stream: BinaryIO) -> Iterator[bytes]:
 
 
 def _tail(stream: BinaryIO, path: Path) -> tuple[int, str, int]:
-    """Number and SHA-256 of the last complete line, and where it ends."""
+    """Return the number and SHA-256 of the last complete line, and where it ends."""
     size = stream.seek(0, os.SEEK_END)
     start = max(size - 2 * _MAX_LINE_BYTES, 0)
     stream.seek(start)

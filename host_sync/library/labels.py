@@ -45,7 +45,7 @@ class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def read_labels(root: Path) -> Labels:
-    """The labels of a library; empty without a file.
+    """Return the labels of a library; empty without a file.
 
     Raises
     ------

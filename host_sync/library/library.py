@@ -49,7 +49,7 @@ DECODERS: Final[dict[BundleKind, Callable[[bytes, str | Path], ScanRecord | Cali
 
 
 def default_library() -> Path:
-    """The library's folder unless another is named; LibraryError where the user has no home."""
+    """Return the library's folder unless another is named; LibraryError where the user has no home."""
     try:
         return Path.home() / "Retrograph"
     except RuntimeError as error:
@@ -68,20 +68,20 @@ class Library:
         self._history: IntakeHistory | None = None
 
     def scans(self) -> Listing[ScanBundle]:
-        """Every scan, sorted by id, and the damaged ones."""
+        """Return every scan, sorted by id, and the damaged ones."""
         return self._listing("scans", read_scan)
 
     def calibrations(self) -> Listing[CalibrationBundle]:
-        """Every calibration, sorted by id, and the damaged ones."""
+        """Return every calibration, sorted by id, and the damaged ones."""
         return self._listing("calibrations", read_calibration)
 
     def bundles(self) -> Listing[AnyBundle]:
-        """Every calibration, then every scan."""
+        """Return every calibration, then every scan."""
         calibrations, scans = self.calibrations(), self.scans()
         return Listing((*calibrations.bundles, *scans.bundles), (*calibrations.damaged, *scans.damaged))
 
     def find(self, name: str) -> ScanBundle:
-        """The scan of that id, or the only one whose id begins or ends so.
+        """Return the scan of that id, or the only one whose id begins or ends so.
 
         Raises
         ------
@@ -93,7 +93,8 @@ class Library:
         return read_scan(self._find("scans", name))
 
     def named(self, name: str) -> ScanBundle:
-        """The scan that `find` finds, or the only one whose label or part has that name; a label goes before a part.
+        """Return the scan that `find` finds, or the only one whose label or part has that name; a label goes before a
+        part.
 
         Raises
         ------
@@ -121,11 +122,11 @@ class Library:
             raise
 
     def find_calibration(self, name: str) -> CalibrationBundle:
-        """The calibration of that id, or the only one whose id begins or ends so; errors as for `find`."""
+        """Return the calibration of that id, or the only one whose id begins or ends so; errors as for `find`."""
         return read_calibration(self._find("calibrations", name))
 
     def calibration_for(self, scan: ScanBundle) -> CalibrationBundle:
-        """The calibration that was active when the scan was taken.
+        """Return the calibration that was active when the scan was taken.
 
         Raises
         ------
@@ -146,19 +147,19 @@ class Library:
         return read_calibration(directory)
 
     def result_folder(self, bundle: AnyBundle, version: str, calibration_id: str) -> Path:
-        """Folder for the results of one program version and one calibration; not made here."""
+        """Return the folder for the results of one program version and one calibration; not made here."""
         name = f"{version}-{calibration_id}"
         if not _RESULT_NAME.fullmatch(name):
             raise LibraryError(f"{name!r} cannot name a folder of results: use only letters, digits and . _ + -")
         return bundle.directory / RESULTS / name
 
     def results(self, scan: ScanBundle) -> tuple[Path, ...]:
-        """Folders of a scan's results, sorted."""
+        """Return folders of a scan's results, sorted."""
         with self.translating("read"):
             return tuple(_result_folders(scan.directory))
 
     def newest_result(self, scan: ScanBundle) -> Path:
-        """The folder of the results written last.
+        """Return the folder of the results written last.
 
         Raises
         ------
@@ -173,7 +174,7 @@ class Library:
         return found
 
     def newest_result_of(self, directory: Path, version: str | None = None) -> Path | None:
-        """The folder of the results written last in a scan's folder; None without any.
+        """Return the folder of the results written last in a scan's folder; None without any.
 
         version : of the program that wrote them; any by default
         """
@@ -208,7 +209,7 @@ class Library:
             return False
 
     def unfinished_bytes(self, kind: BundleKind, bundle_id: str) -> int:
-        """Bytes left by an earlier transfer of a bundle."""
+        """Return bytes left by an earlier transfer of a bundle."""
         with self.translating("read"):
             return sum(path.lstat().st_size for path in (self.root / kind / partial_name(bundle_id)).glob("*"))
 
@@ -358,7 +359,7 @@ class Library:
 
 
 def _result_folders(directory: Path) -> list[Path]:
-    """Folders of results in a scan's folder, sorted."""
+    """Return folders of results in a scan's folder, sorted."""
     folder = directory / RESULTS
     entries = folder.iterdir() if folder.is_dir() else ()
     return sorted(entry for entry in entries if entry.is_dir() and not entry.name.startswith("."))

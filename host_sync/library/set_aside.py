@@ -75,7 +75,7 @@ def move_aside(root: Path, kind: BundleKind, bundle_id: str, reason: str) -> Pat
 
 
 def list_set_aside(root: Path) -> list[SetAsideEntry]:
-    """Every entry, by kind and name; a damaged note is an entry that says so."""
+    """Return every entry, by kind and name; a damaged note is an entry that says so."""
     found = []
     for kind in MANIFESTS:
         for path in sorted((root / SET_ASIDE / kind).glob(f"*{_REASON}")):

@@ -149,7 +149,7 @@ def _loss(library: Library, entry: IntakeEntry) -> DamagedBundle:
 
 
 def _part(library: Library, bundles: Sequence[AnyBundle], fraction: float) -> list[AnyBundle]:
-    """The bundles after the cursor, and from the beginning again, until their bytes make up that fraction."""
+    """Return the bundles after the cursor, and from the beginning again, until their bytes make up that fraction."""
     try:
         path = library.root / CURSOR_FILE
         last = decode_record(read_small(path), VerifyCursor, path).last

@@ -83,7 +83,7 @@ class Bundle:
         rows = np.random.default_rng(0).permutation(len(samples.p))[:SAMPLES]
         column, row = samples.column[rows].astype(np.float64), samples.row[rows].astype(np.float64)
         x, y = (column - 0.5 * (shape[1] - 1)) / shape[1], (row - 0.5 * (shape[0] - 1)) / shape[1]
-        seen = samples.taught[rows].astype(np.float64)
+        seen = samples.training_intensity[rows].astype(np.float64)
         tilted = 1.0 - 1.0 / np.sqrt(1.0 + samples.p[rows] ** 2 + samples.q[rows] ** 2)
         floor = np.repeat(0.5 * tilted[:, None].astype(np.float64), seen.shape[1], axis=1)
         viewpoint = balls[0].viewpoint
@@ -95,7 +95,7 @@ class Bundle:
         )  # fmt: skip
 
     def sphere(self, shift: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Slopes and elevations, in widths of the field, of the samples' balls."""
+        """Return slopes and elevations, in widths of the field, of the samples' balls."""
         centre = (np.array([[one.column, one.row] for one in self.balls]) + shift)[self.ball]
         radius = np.array([one.radius_px for one in self.balls])[self.ball]
         apex, viewpoint = self.apex_px[self.ball], self.balls[0].viewpoint
@@ -107,7 +107,7 @@ class Bundle:
         return -across / rise, -down / rise, (apex - radius + rise) / self.shape[1]
 
     def start(self, height: float, length: float, positions: Float64Array | None) -> Numbers:
-        """One source a channel, in the direction that gentle slopes show."""
+        """Return one source a channel, in the direction that gentle slopes show."""
         channels = self.intensity.shape[1]
         p, q, _ = self.sphere(np.zeros((len(self.balls), 2)))
         gentle = np.hypot(p, q) < GENTLE
@@ -129,7 +129,7 @@ class Bundle:
         )
 
     def model(self, numbers: Numbers) -> LightModel:
-        """The model of these numbers."""
+        """Return the model of these numbers."""
         fall_off, roughness, gloss, width, tail, tilt_gain, beam = numbers.coat.tolist()
         residual = numbers.residual.reshape(len(numbers.haze), TERMS, PLACES)
         return LightModel(
@@ -139,7 +139,7 @@ class Bundle:
         )  # fmt: skip
 
     def errors(self, numbers: Numbers) -> Float64Array:
-        """Predicted less seen intensity, shape (N, C)."""
+        """Return the predicted less seen intensity, shape (N, C)."""
         return self._terms(numbers).shown - self.intensity
 
     def _terms(self, numbers: Numbers) -> _Terms:
@@ -152,7 +152,7 @@ class Bundle:
         return _Terms(np.nan_to_num(shown, nan=30.0), p, q, z, light, rest, mixed / at_rest, at_rest, features)
 
     def _source_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
-        """Derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
+        """Yield derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
         model, level = self.model(numbers), np.zeros_like(terms.p)
         skin, ground = (terms.p, terms.q, self.x, self.y, terms.z), (level, level, self.x, self.y, level)
         by_source, by_coat = light_derivatives(numbers, model, skin, terms.light)
@@ -179,7 +179,7 @@ class Bundle:
             yield (change - terms.ratio * below) / terms.at_rest
 
     def _shift_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
-        """Derivatives of the intensity (N, C) by the shifts of centres."""
+        """Yield derivatives of the intensity (N, C) by the shifts of centres."""
         shifted = []
         for axis in (0, 1):
             shift = numbers.shift.copy()
@@ -190,7 +190,7 @@ class Bundle:
                 yield shifted[axis] * (self.ball == ball)[:, None]
 
     def _prior(self, numbers: Numbers) -> tuple[Float64Array, Float64Array]:
-        """Expected values of all numbers, and weights of their differences from them."""
+        """Return the expected values of all numbers, and weights of their differences from them."""
         weight = len(self.ball) / PRIOR_SAMPLES
         radius = np.array([one.radius_px for one in self.balls])
         residual = np.full((len(numbers.haze), TERMS, PLACES), self.residual_sigma * np.sqrt(weight))
@@ -210,7 +210,7 @@ class Bundle:
         return expected.packed(), weight / sigmas.packed() ** 2
 
     def _free(self, numbers: Numbers) -> slice:
-        """The numbers that are searched for, among all: shifts and what stands before or after them."""
+        """Return the numbers that are searched for, among all: shifts and what stands before or after them."""
         before = sum(getattr(numbers, name).size for name in _OF_SOURCES)
         return slice(0, before + numbers.shift.size) if self.stage == "sources" else slice(before, None)
 
@@ -241,7 +241,8 @@ class Bundle:
         return float(robust.sum() + (weight * np.square(numbers.packed() - expected)).sum())
 
     def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, _Jacobian]:
-        """Normal equations of the numbers that are searched for, and the derivatives that they are made of."""
+        """Return the normal equations of the numbers that are searched for, and the derivatives that they are made
+        of."""
         terms = self._terms(numbers)
         error = terms.shown - self.intensity
         columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []
@@ -255,7 +256,7 @@ class Bundle:
         return system, gradient + prior * (numbers.packed()[self._free(numbers)] - expected), jacobian
 
     def without(self, numbers: Numbers) -> Iterator[tuple[int, Numbers]]:
-        """Numbers without each fold of balls, by one step of the normal equations without it."""
+        """Yield numbers without each fold of balls, by one step of the normal equations without it."""
         system, gradient, jacobian = self._system(numbers)
         for fold in range(min(FOLDS, len(self.balls))):
             less, lost = jacobian.normal_equations(self.ball % FOLDS == fold)

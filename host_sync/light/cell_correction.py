@@ -51,7 +51,7 @@ class CellCorrection:
         parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
 
     def sigma(self, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
-        """Standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
+        """Return the standard uncertainties of slopes p and q in shadow, with sign, on a field of `size` (w, h)."""
         p, q = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (self.sigma_p, self.sigma_q))
         return np.asarray(p, np.float32), np.asarray(q, np.float32)
 

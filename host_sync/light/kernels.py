@@ -40,7 +40,7 @@ def write_light(
 
 @njit(cache=True, error_model="numpy")
 def to_camera(camera: Any, x: Any, y: Any, z: Any) -> Any:
-    """Direction from a place to the camera."""
+    """Return the direction from a place to the camera."""
     across, down, up = -camera * x, -camera * y, 1.0 - camera * z
     length = np.sqrt(across * across + down * down + up * up)
     return across / length, down / length, up / length
@@ -48,7 +48,7 @@ def to_camera(camera: Any, x: Any, y: Any, z: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def ray_to(point: Any, axis: Any, coat: Any, x: Any, y: Any, z: Any) -> Any:
-    """Direction from a place to a point of a source, and the irradiance of a surface that faces it."""
+    """Return the direction from a place to a point of a source, and the irradiance of a surface that faces it."""
     across, down, up = point[0] - x, point[1] - y, point[2] - z
     square = across * across + down * down + up * up
     length = np.sqrt(square)
@@ -60,7 +60,8 @@ def ray_to(point: Any, axis: Any, coat: Any, x: Any, y: Any, z: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
-    """Share of a ray that a coat reflects: of cosines between normal and light, normal and camera, light and camera."""
+    """Return the share of a ray that a coat reflects: of cosines between normal and light, normal and camera, light and
+    camera."""
     even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
     together = max(between - lit * seen, 0.0) / max(max(lit, seen), GRAZING)
     rough = lit * (even + uneven * together)

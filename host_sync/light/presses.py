@@ -43,7 +43,7 @@ def fit_light_of_presses(
     positions: Float64Array | None = None,
 ) -> FittedLight:
     """Return the light model that the balls of presses show; arguments as for `fit_light`."""
-    samples = gather_samples(presses, to_teach=True)
+    samples = gather_samples(presses, for_fit=True)
     balls = [ball for _, of_press in presses for ball in of_press]
     surfaces = [_surface(image, of_press, inverse) for image, of_press in presses]
 

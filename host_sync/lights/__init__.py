@@ -1,1 +1,1 @@
-"""Lights: where lamps stand and what they show; of any number of them, which three are read together where."""
+"""Lights: their places and directions; of any number of them, which three are read together where."""

@@ -44,7 +44,7 @@ class LightGroups:
     flat_field : float32 array of shape (H, W, N), light of untouched skin
     groups : of three lights each, every light in one of them at least
     matt : what predicts each light from the others
-    typical : float64 array of shape (N,), median contradiction of each light in the presses
+    typical : float64 array of shape (N,), median disagreement of each light in the presses
     allowed : by how much a frame's may differ from it
     names : of the lights, as messages call them
     """
@@ -62,7 +62,8 @@ class LightGroups:
         return len(self.names)
 
     def check(self, frame: LinearFrame, name: str) -> list[str]:
-        """What speaks against a frame: a light that shows other than the others predict; nothing of three or fewer.
+        """Return what speaks against a frame: a light that shows other than the others predict; nothing of three or
+        fewer.
 
         Raises
         ------
@@ -73,7 +74,7 @@ class LightGroups:
             raise CalibrationMismatch(
                 f"{name} shows {frame.rgb.shape[2]} lights and its calibration {self.count}: name one image a light"
             )
-        off = np.median(_contradiction(self.matt, frame, self.flat_field).reshape(-1, self.count), axis=0)
+        off = np.median(_disagreement(self.matt, frame, self.flat_field).reshape(-1, self.count), axis=0)
         off = off - self.typical
         worst = int(np.argmax(np.abs(off)))
         if abs(off[worst]) <= self.allowed:
@@ -86,7 +87,7 @@ class LightGroups:
 
     def left_out(self, frame: LinearFrame) -> list[MaskArray]:
         """For each group where one of its lights is hidden, mirrored or saturated: bool arrays of shape (H, W)."""
-        off = np.abs(_contradiction(self.matt, frame, self.flat_field)) / self.matt.tolerance
+        off = np.abs(_disagreement(self.matt, frame, self.flat_field)) / self.matt.tolerance
         worst = np.argmax(off, axis=-1)
         hidden = off.max(axis=-1) > 1.0
         rows, columns = frame.shape
@@ -98,13 +99,13 @@ class LightGroups:
 
 
 def in_group(frame: LinearFrame, group: Group) -> LinearFrame:
-    """The three lights of a group as a frame of three channels; clipped where one of them is."""
+    """Return the three lights of a group as a frame of three channels; clipped where one of them is."""
     rgb = np.ascontiguousarray(frame.rgb[..., list(group)])
     return LinearFrame(rgb, np.any(rgb >= np.float32(SATURATED), axis=-1))
 
 
 def choose_groups(frames: Sequence[LinearFrame]) -> tuple[Group, ...]:
-    """Groups of three of the lights that frames show: those whose answers to slopes differ most.
+    """Return groups of three of the lights that frames show: those whose answers to slopes differ most.
 
     Raises
     ------
@@ -125,7 +126,7 @@ def choose_groups(frames: Sequence[LinearFrame]) -> tuple[Group, ...]:
 
 
 def _answers(frames: Sequence[LinearFrame]) -> Float64Array:
-    """How lights change together, (N, 3): their part in the three largest changes over the frames."""
+    """Return how lights change together, (N, 3): their part in the three largest changes over the frames."""
     count = frames[0].rgb.shape[2]
     step = max(1, int(np.sqrt(frames[0].clipped.size * len(frames) / SEEN_PLACES)))
     usual = np.median(np.stack([frame.rgb[::step, ::step] for frame in frames]), axis=0)
@@ -144,7 +145,7 @@ def find_light_groups(
     flat_field: Float32Array,
     names: Sequence[str],
 ) -> LightGroups:
-    """The groups with what balls tell of the lights' directions.
+    """Return the groups with what balls tell of the lights' directions.
 
     flat_field : float32 array of shape (H, W, N)
     names : of the lights; numbers from 1 where there are none
@@ -153,7 +154,7 @@ def find_light_groups(
     matt = MattLights.of(samples, (flat_field.shape[0], flat_field.shape[1]))
     count = flat_field.shape[2]
     seen = np.array(
-        [np.median(_contradiction(matt, frame, flat_field).reshape(-1, count), axis=0) for frame, _ in presses]
+        [np.median(_disagreement(matt, frame, flat_field).reshape(-1, count), axis=0) for frame, _ in presses]
     )
     typical = np.median(seen, axis=0)
     allowed = max(MIN_ALLOWED, SAFETY * float(np.abs(seen - typical).max()))
@@ -162,7 +163,7 @@ def find_light_groups(
 
 
 def joined(gradients: Sequence[GradientField], left_out: Sequence[MaskArray]) -> GradientField:
-    """Slopes of groups as one: their mean by weight; groups with a light that is left out hardly count."""
+    """Return slopes of groups as one: their mean by weight; groups with a light that is left out hardly count."""
     if len(gradients) == 1:
         return gradients[0]
     total = np.zeros(gradients[0].p.shape, np.float32)
@@ -181,7 +182,7 @@ def joined(gradients: Sequence[GradientField], left_out: Sequence[MaskArray]) ->
     return GradientField(p, q, valid, weight)
 
 
-def _contradiction(matt: MattLights, frame: LinearFrame, flat_field: Float32Array) -> Float64Array:
+def _disagreement(matt: MattLights, frame: LinearFrame, flat_field: Float32Array) -> Float64Array:
     """By how much each light differs from what the others predict, in cells: (h, w, N)."""
     rows, columns = frame.shape
     size = (max(columns // CELL_PX, 1), max(rows // CELL_PX, 1))
@@ -195,4 +196,4 @@ def _contradiction(matt: MattLights, frame: LinearFrame, flat_field: Float32Arra
     )
     at = np.meshgrid(column, row)
     place = field_position(at[0].ravel(), at[1].ravel(), frame.shape)
-    return matt.contradiction(intensity.reshape(-1, intensity.shape[2]), place).reshape(intensity.shape)
+    return matt.disagreement(intensity.reshape(-1, intensity.shape[2]), place).reshape(intensity.shape)

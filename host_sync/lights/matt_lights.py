@@ -1,4 +1,4 @@
-"""Where lights stand as seen from each place, by which any of them can be predicted from the others.
+"""Directions of lights as seen from each place, by which any of them can be predicted from the others.
 
 A matt skin of slope g shows, divided by its reference, s I_k = 1 + a_k(x, y)·g under light k, with s = √(1 + |g|²).
 Four lights or more are more equations than unknowns (1 / s, p / s, q / s): what one light shows can be held against
@@ -45,7 +45,7 @@ class MattLights:
 
     @classmethod
     def of(cls, samples: BallSamples, shape: tuple[int, int]) -> MattLights:
-        """What gentle slopes on balls tell, of a field (H, W)."""
+        """Return what gentle slopes on balls tell, of a field (H, W)."""
         slope = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
         place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
         degree = NEAR_DEGREE if len(np.unique(samples.ball)) >= MIN_BALLS else FAR_DEGREE
@@ -60,7 +60,7 @@ class MattLights:
         found = np.linalg.lstsq(np.concatenate([features, penalty]), stacked, rcond=None)[0]
         directions = found[: 2 * there.shape[1]].reshape(there.shape[1], 2, -1).transpose(2, 0, 1).astype(np.float32)
         lights = cls(np.ascontiguousarray(directions), np.full(len(directions), np.inf, np.float32))
-        off = np.percentile(np.abs(lights.contradiction(samples.intensity, place)), RARE_PERCENT, axis=0)
+        off = np.percentile(np.abs(lights.disagreement(samples.intensity, place)), RARE_PERCENT, axis=0)
         return cls(lights.directions, np.maximum(MARGIN * off, MIN_TOLERANCE).astype(np.float32))
 
     @property
@@ -68,7 +68,7 @@ class MattLights:
         """Degree in place of the directions."""
         return NEAR_DEGREE if self.directions.shape[1] == len(position_exponents(NEAR_DEGREE)) else FAR_DEGREE
 
-    def contradiction(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+    def disagreement(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
         """By how much each light differs from what the others predict: (n, N), 0 where they predict nothing.
 
         intensity : float32 array of shape (n, N)

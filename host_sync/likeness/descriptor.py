@@ -40,14 +40,14 @@ LENGTH: Final = 4 * len(BANDS_MM) + len(QUANTILES) + len(SLOPE_QUANTILES) + 2
 
 
 def describe_result(result: ResultSurface) -> Float32Array:
-    """The descriptor of a result's height map; see `describe`."""
+    """Return the descriptor of a result's height map; see `describe`."""
     sigma_um = result.sigma_um
     known = sigma_um[np.isfinite(sigma_um)] if sigma_um is not None else np.zeros(0, np.float32)
     return describe(result.height, float(np.median(known)) if known.size else 0.0)
 
 
 def describe(height: HeightMap, sigma_um: float = 0.0) -> Float32Array:
-    """The descriptor of a height map: float32 array of shape (LENGTH,), all finite.
+    """Return the descriptor of a height map: float32 array of shape (LENGTH,), all finite.
 
     Amplitudes are decimal logarithms; rows are to be compared after `host_sync.likeness.search`.
 
@@ -87,7 +87,7 @@ def describe(height: HeightMap, sigma_um: float = 0.0) -> Float32Array:
 
 
 def _band_figures(band: Float32Array, contact: MaskArray, pitch_mm: float) -> list[float]:
-    """Logarithm of the RMS slope, skewness, kurtosis and coherence of a band where the object touches."""
+    """Return the logarithm of the RMS slope, skewness, kurtosis and coherence of a band where the object touches."""
     down, across = (np.asarray(slope, np.float64) for slope in np.gradient(band * np.float32(1e-3 / pitch_mm)))
     inside = contact & np.isfinite(down) & np.isfinite(across)
     if int(inside.sum()) < MIN_PIXELS:
@@ -106,7 +106,7 @@ def _band_figures(band: Float32Array, contact: MaskArray, pitch_mm: float) -> li
 
 
 def _reduced(height: HeightMap) -> tuple[Float32Array, float]:
-    """Heights (µm) at about `PITCH_UM`, and their pitch, mm."""
+    """Return heights (µm) at about `PITCH_UM`, and their pitch, mm."""
     step = max(1, round(PITCH_UM / height.pitch_um))
     rows, columns = (size // step for size in height.z_um.shape)
     if step == 1 or min(rows, columns) < 1:
@@ -122,7 +122,7 @@ def _reduced(height: HeightMap) -> tuple[Float32Array, float]:
 
 
 def _blurred(values: Float32Array, width_px: float) -> Float32Array:
-    """Gaussian mean over the valid pixels, NaN at the others."""
+    """Return gaussian mean over the valid pixels, NaN at the others."""
     known = np.isfinite(values)
     share, total = (
         cv2.GaussianBlur(field, (0, 0), width_px)
@@ -133,6 +133,6 @@ def _blurred(values: Float32Array, width_px: float) -> Float32Array:
 
 
 def _steepness(z_um: Float32Array, pitch_mm: float) -> Float32Array:
-    """Size of the slope, µm/µm."""
+    """Return the size of the slope, µm/µm."""
     down, across = np.gradient(z_um * np.float32(1e-3 / pitch_mm))
     return np.asarray(np.hypot(down, across), np.float32)

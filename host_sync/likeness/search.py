@@ -97,7 +97,7 @@ class Answer:
 
 
 def nearest(row: Float32Array, rows: Float32Array, count: int) -> list[tuple[int, float]]:
-    """Numbers and distances of the `count` rows that are nearest, nearest first.
+    """Return numbers and distances of the `count` rows that are nearest, nearest first.
 
     row, rows : float32 arrays of shape (LENGTH,) and (N, LENGTH)
     """
@@ -109,7 +109,7 @@ def nearest(row: Float32Array, rows: Float32Array, count: int) -> list[tuple[int
 
 
 def alike(result: Path, library: Path, count: int = 5, tell: Callable[[str], None] = lambda _: None) -> Answer:
-    """The results of a library that look most like one, each scan with its newest; the index is updated first.
+    """Return the results of a library that look most like one, each scan with its newest; the index is updated first.
 
     result : folder of the result that is asked for; it is not among the answers
     tell : receives what is done at the moment
@@ -154,7 +154,7 @@ class Gaps:
 
 
 def updated(library: Path, tell: Callable[[str], None] = lambda _: None, gaps: Gaps | None = None) -> dict[str, Entry]:
-    """Every entry of a library's index after new and changed results were described and lost ones dropped.
+    """Return every entry of a library's index after new and changed results were described and lost ones dropped.
 
     Keys are folders relative to the library. Every entry is described again where the index is damaged.
 
@@ -196,7 +196,7 @@ def _described(folder: Path, stamp: str) -> Entry:
 
 
 def _newest_results(library: Path, without: list[str]) -> Iterator[tuple[str, str]]:
-    """Folder of each scan's newest result, relative to the library, and the stamp of its record.
+    """Yield the folder of each scan's newest result, relative to the library, and the stamp of its record.
 
     without : receives the scans that have no results
 
@@ -268,7 +268,7 @@ class LikenessIndex:
         self._base.close()
 
     def read(self) -> dict[str, Entry]:
-        """Every whole entry; damaged ones are missing."""
+        """Return every whole entry; damaged ones are missing."""
         try:
             rows = self._base.execute("SELECT folder, stamp, reason, row, crc FROM entry").fetchall()
         except sqlite3.DatabaseError:
@@ -318,7 +318,7 @@ def _crc(stamp: object, data: bytes) -> int:
 
 
 def _connected(path: str) -> sqlite3.Connection:
-    """A connection to an index of this version, emptied when it was of another one."""
+    """Return a connection to an index of this version, emptied when it was of another one."""
     base = sqlite3.connect(path)
     try:
         (version,) = base.execute("PRAGMA user_version").fetchone()

@@ -67,7 +67,7 @@ class Preparation:
         self._l_px = None if recipe.l_filter_um is None else recipe.l_filter_um / height.pitch_um
 
     def apply(self, z_um: Float32Array) -> Float32Array:
-        """The scale-limited surface: float32 array of shape (H, W), µm, NaN where invalid."""
+        """Return the scale-limited surface: float32 array of shape (H, W), µm, NaN where invalid."""
         if self._form is not None:
             z_um = self._form.remove(z_um)
         if self._s is not None:
@@ -77,7 +77,8 @@ class Preparation:
         return z_um
 
     def edge_fraction(self) -> float:
-        """Fraction of valid pixels within half the L-filter's nesting index of a border or hole; 0 without L-filter."""
+        """Return the fraction of valid pixels within half the L-filter's nesting index of a border or hole; 0 without
+        L-filter."""
         if self._l_px is None:
             return 0.0
         framed = np.pad(self.valid.astype(np.uint8), 1)
@@ -160,26 +161,26 @@ class ArealMeasurand:
         return frozenset() if self._recipe.l_filter_um is not None else SHAPE
 
     def surface(self, z_um: Float32Array) -> HeightMap:
-        """The scale-limited surface of a height map of shape (H, W)."""
+        """Return the scale-limited surface of a height map of shape (H, W)."""
         return HeightMap(self._preparation.apply(self._cut(z_um)), self._pitch_um)
 
     def _cut(self, z_um: Float32Array) -> Float32Array:
-        """The region of a height map of shape (H, W), also NaN where slopes are extrapolated and not kept."""
+        """Return the region of a height map of shape (H, W), also NaN where slopes are extrapolated and not kept."""
         part = np.array(z_um[self._window], np.float32)
         if self._left_out is not None:
             part[self._left_out] = np.nan
         return part
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """The parameters of the recipe."""
+        """Return the parameters of the recipe."""
         return self._wanted
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """The parameters of a height map of shape (H, W)."""
+        """Return the parameters of a height map of shape (H, W)."""
         return self.parameters(self.surface(z_um).z_um)
 
     def parameters(self, z_um: Float32Array) -> dict[str, float]:
-        """The parameters of a scale-limited surface."""
+        """Return the parameters of a scale-limited surface."""
         found: dict[str, float] = {}
         if self._wants("height"):
             found |= height_parameters(z_um)
@@ -196,7 +197,7 @@ class ArealMeasurand:
         return found
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """Warnings about filter ends, mask, extrapolated slopes and field size."""
+        """Return warnings about filter ends, mask, extrapolated slopes and field size."""
         every = []
         edge = self._preparation.edge_fraction()
         if edge > EDGE_SHARE:
@@ -223,7 +224,7 @@ class ArealMeasurand:
         return off
 
     def notes(self) -> tuple[str, ...]:
-        """Notes on region and filters."""
+        """Return notes on region and filters."""
         found = []
         if self._recipe.region_um is None:
             found.append("region: the whole field, including untouched skin: set region_um to measure a part")

@@ -67,7 +67,7 @@ class Circle:
 def find_circle(
     z_um: Float32Array, places: SkinPlaces, centre_um: tuple[float, float], radius_um: float, level: float = 0.5
 ) -> Circle:
-    """The circle near a place and radius on the grid of pixels.
+    """Return the circle near a place and radius on the grid of pixels.
 
     places : of the pixels
     level : where the edge lies between the heights outside (0) and inside (1)
@@ -131,7 +131,7 @@ def _once(
 
 
 def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: float) -> float:
-    """Distance nearest to `near_um` where `share` falls through a level; NaN where it does not."""
+    """Return the distance nearest to `near_um` where `share` falls through a level; NaN where it does not."""
     at = np.flatnonzero((share[:-1] > level) != (share[1:] > level))
     at = at[np.isfinite(share[at]) & np.isfinite(share[at + 1])]
     if not at.size:
@@ -141,7 +141,7 @@ def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: f
 
 
 def _fitted(places: Float64Array) -> tuple[float, float, float, Float64Array]:
-    """Column, row and radius of the circle through places of shape (N, 2), and the weight of each."""
+    """Return the column, row and radius of the circle through places of shape (N, 2), and the weight of each."""
     weight = np.ones(len(places))
     design = np.column_stack([2.0 * places, np.ones(len(places))])
     column, row, rest = np.linalg.lstsq(design, (places**2).sum(axis=1), rcond=None)[0]
@@ -175,7 +175,7 @@ class CircleMeasurand:
         self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Four lengths along the skin, and a height."""
+        """Return four lengths along the skin, and a height."""
         length = ParameterKind("µm", 1.0)
         return {
             "diameter": length,
@@ -186,7 +186,7 @@ class CircleMeasurand:
         }
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """The circle of a height map of shape (H, W), µm."""
+        """Return the circle of a height map of shape (H, W), µm."""
         found = self._at(z_um)
         return {
             "diameter": 2.0 * found.radius_um,
@@ -197,7 +197,7 @@ class CircleMeasurand:
         }
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """An edge that is not seen all around."""
+        """Return an edge that is not seen all around."""
         if self.found.share > 0.9:
             return {}
         return {"": (f"the edge is seen over {self.found.share:.0%} of the circle only",)}

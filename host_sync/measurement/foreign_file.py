@@ -43,7 +43,7 @@ UNITS_UM: Final = {"m": 1e6, "mm": 1e3, "µm": 1.0, "um": 1.0, "nm": 1e-3, "pm":
 
 
 def read_foreign(path: Path) -> ResultSurface:
-    """The surface in a file of another program.
+    """Return the surface in a file of another program.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _surface(path: Path, height: HeightMap, origin: str, notes: tuple[str, ...])
 
 
 def _by_library(path: Path) -> tuple[HeightMap, str, tuple[str, ...]]:
-    """The first height map in a file, the name of its format, and what was done to it."""
+    """Return the first height map in a file, the name of its format, and what was done to it."""
     try:
         from SurfaceTopography.Exceptions import CannotDetectFileFormat
         from SurfaceTopography.IO import open_topography
@@ -112,13 +112,13 @@ def _by_library(path: Path) -> tuple[HeightMap, str, tuple[str, ...]]:
 
 
 def _from_top(heights: Any, factor: float) -> Float32Array:
-    """Heights, µm, top row first, NaN where undefined, from an array of shape (columns, rows)."""
+    """Return heights, µm, top row first, NaN where undefined, from an array of shape (columns, rows)."""
     z_um = np.ma.filled(np.ma.asarray(heights, dtype=np.float64) * factor, np.nan)
     return np.ascontiguousarray(z_um.T, np.float32)
 
 
 def _squared(z_um: Float32Array, sizes_um: list[float], form: str) -> tuple[HeightMap, str, tuple[str, ...]]:
-    """The height map with square pixels."""
+    """Return the height map with square pixels."""
     across_um, down_um = sizes_um[0] / z_um.shape[1], sizes_um[1] / z_um.shape[0]
     if abs(across_um - down_um) <= SQUARE * across_um:
         return HeightMap(z_um, across_um), form, ()
@@ -155,7 +155,7 @@ class MapDifference:
 
 
 def map_difference(height: HeightMap, other: HeightMap) -> MapDifference:
-    """The difference of `height` to `other`, pixel by pixel; a plane is taken off, as two datums differ by one.
+    """Return the difference of `height` to `other`, pixel by pixel; a plane is taken off, as two datums differ by one.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def map_difference(height: HeightMap, other: HeightMap) -> MapDifference:
 
 
 def _without_plane(values: Float64Array, where: MaskArray) -> Float64Array:
-    """The values there less the plane that fits them, float64 array of shape (N,)."""
+    """Return the values there less the plane that fits them, float64 array of shape (N,)."""
     row, column = np.nonzero(where)
     scale = float(max(values.shape))
     design = np.stack([column / scale, row / scale, np.ones(len(row))], axis=-1)

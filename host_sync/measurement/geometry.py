@@ -26,7 +26,7 @@ class Region:
     bottom_um: float
 
     def pixels(self, shape: tuple[int, int], pitch_um: float) -> tuple[slice, slice]:
-        """Rows and columns of the pixels inside.
+        """Return rows and columns of the pixels inside.
 
         Raises
         ------
@@ -45,7 +45,7 @@ class Region:
         return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
     def cut(self, z_um: Float32Array, pitch_um: float) -> Float32Array:
-        """The part of a surface inside it."""
+        """Return the part of a surface inside it."""
         return z_um[self.pixels((z_um.shape[0], z_um.shape[1]), pitch_um)]
 
 
@@ -73,7 +73,7 @@ def between_places(z_um: Float32Array, places: SkinPlaces, start: Float64Array, 
 
 
 def between_planes_deg(first: Float32Array, second: Float32Array, places: tuple[SkinPlaces, SkinPlaces]) -> float:
-    """Angle between the least-squares planes of two regions, degrees.
+    """Return the angle between the least-squares planes of two regions, degrees.
 
     places : of the pixels of each
     """
@@ -81,7 +81,8 @@ def between_planes_deg(first: Float32Array, second: Float32Array, places: tuple[
 
 
 def bend_deg(z_um: Float32Array, places: SkinPlaces) -> float:
-    """Largest angle between the planes of opposite halves of a region, degrees; NaN where no half shows a plane."""
+    """Return the largest angle between the planes of opposite halves of a region, degrees; NaN where no half shows a
+    plane."""
     across_um, down_um = places.at(z_um)
     largest = np.nan
     for axis in (0, 1):
@@ -95,7 +96,7 @@ def bend_deg(z_um: Float32Array, places: SkinPlaces) -> float:
 
 
 def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[str, float]:
-    """Void below and material above the plane through a region's border, µm³; largest depth and height, µm.
+    """Return the void below and material above the plane through a region's border, µm³; largest depth and height, µm.
 
     Masked pixels are not counted.
 
@@ -122,25 +123,25 @@ def pit_volumes(z_um: Float32Array, places: SkinPlaces, border_px: int) -> dict[
 
 
 def over_plane(z_um: Float32Array, used: MaskArray, places: SkinPlaces) -> Float32Array:
-    """Heights above the plane through the used pixels, where they lie, µm."""
+    """Return heights above the plane through the used pixels, where they lie, µm."""
     across_um, down_um = places.at(z_um)
     a, b, c = _plane(across_um, down_um, np.where(used, z_um, np.float32(np.nan)))
     return np.asarray(z_um - (a * across_um + b * down_um + c), np.float32)
 
 
 def _between_normals_deg(first: Float64Array, second: Float64Array) -> float:
-    """Angle between two vectors of any length, degrees."""
+    """Return the angle between two vectors of any length, degrees."""
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
 
 
 def _normal(z_um: Float32Array, places: SkinPlaces) -> Float64Array:
-    """Normal of the least-squares plane, of any length."""
+    """Return the normal of the least-squares plane, of any length."""
     a, b, _ = _plane(*places.at(z_um), z_um)
     return np.array([a, b, 1.0])
 
 
 def _plane(across: Float64Array, down: Float64Array, z_um: Float32Array) -> tuple[float, float, float]:
-    """Slopes across and down, and height at the origin, of the plane through the valid pixels; µm."""
+    """Return slopes across and down, and height at the origin, of the plane through the valid pixels; µm."""
     known = np.isfinite(z_um)
     design = np.stack([across[known], down[known], np.ones(known.sum())], axis=-1).astype(np.float64)
     solution, _, rank, _ = np.linalg.lstsq(design, z_um[known].astype(np.float64), rcond=None)
@@ -187,7 +188,7 @@ class SkinPlaces:
 
     @classmethod
     def of(cls, record: ResultRecord) -> SkinPlaces:
-        """Those of a result."""
+        """Return those of a result."""
         pitch_um = record.pixel_pitch_um
         middle_um = 0.5 * pitch_um * (record.columns - 1), 0.5 * pitch_um * (record.rows - 1)
         return cls(pitch_um, middle_um, 0.0 if record.pupil_height_mm is None else 1e-3 / record.pupil_height_mm)
@@ -199,19 +200,20 @@ class SkinPlaces:
         return replace(self, level=(zero_um, across / self.pitch_um, down / self.pitch_um))
 
     def of_part(self, rows: slice, columns: slice) -> SkinPlaces:
-        """Those of a part of the field, from the part's first pixel."""
+        """Return those of a part of the field, from the part's first pixel."""
         across_um, down_um = self.middle_um
         left_um, top_um = columns.start * self.pitch_um, rows.start * self.pitch_um
         return replace(self, middle_um=(across_um - left_um, down_um - top_um))
 
     def at(self, z_um: Float32Array) -> tuple[Float64Array, Float64Array]:
-        """Right and down of the first pixel, of each pixel of a height map: float64 arrays of shape (H, W), µm."""
+        """Return the right and down of the first pixel, of each pixel of a height map: float64 arrays of shape (H, W),
+        µm."""
         x, y = self._from_middle(z_um.shape)
         shares = self._shares(x, y, z_um)
         return self.middle_um[0] + x * shares, self.middle_um[1] + y * shares
 
     def areas_um2(self, z_um: Float32Array) -> Float64Array:
-        """Area of the skin in each pixel, as seen from above, float64 array of shape (H, W), µm²."""
+        """Return the area of the skin in each pixel, as seen from above, float64 array of shape (H, W), µm²."""
         if self.nearness_per_um == 0.0:
             return np.full(z_um.shape, self.pitch_um**2)
         x, y = self._from_middle(z_um.shape)
@@ -232,12 +234,12 @@ class SkinPlaces:
         return np.asarray(middle + from_middle * shares[..., None])
 
     def _from_middle(self, shape: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
-        """Right of the camera, shape (W,), and below it, shape (H, 1), µm."""
+        """Return the right of the camera, shape (W,), and below it, shape (H, 1), µm."""
         rows, columns = (np.arange(side, dtype=np.float64) * self.pitch_um for side in shape)
         return np.asarray(columns - self.middle_um[0]), np.asarray(rows - self.middle_um[1])[:, None]
 
     def _shares(self, x: Float64Array, y: Float64Array, z_um: Float32Array | Float64Array | float) -> Float64Array:
-        """Lengths on skin of these heights over what they would be untouched."""
+        """Return lengths on skin of these heights over what they would be untouched."""
         zero_um, across, down = self.level
         over_skin_um = np.asarray(z_um, np.float64) + (zero_um + across * x + down * y)
         return np.maximum(1.0 - self.nearness_per_um * over_skin_um, MIN_SHARE)
@@ -250,12 +252,12 @@ ACROSS: Final = 8
 
 
 def field_places(shape: tuple[int, int]) -> Float64Array:
-    """Row and column, px, of points all over a field of `shape` (H, W): float64 array of shape (N, 2)."""
+    """Return the row and column, px, of points all over a field of `shape` (H, W): float64 array of shape (N, 2)."""
     return _grid(0.0, 0.0, shape[0] - 1.0, shape[1] - 1.0)
 
 
 def region_places(regions: Iterable[Region], pitch_um: float) -> Float64Array:
-    """Row and column, px, of points all over the regions: float64 array of shape (N, 2)."""
+    """Return the row and column, px, of points all over the regions: float64 array of shape (N, 2)."""
     parts = [
         _grid(*(place / pitch_um for place in (one.top_um, one.left_um, one.bottom_um, one.right_um)))
         for one in regions
@@ -264,7 +266,7 @@ def region_places(regions: Iterable[Region], pitch_um: float) -> Float64Array:
 
 
 def line_places(line: Line, pitch_um: float) -> Float64Array:
-    """Row and column, px, of points all over a line of some width: float64 array of shape (N, 2)."""
+    """Return the row and column, px, of points all over a line of some width: float64 array of shape (N, 2)."""
     start, end = (np.array(place[::-1]) / pitch_um for place in (line.start_um, line.end_um))
     along = np.linspace(start, end, ALONG)
     way = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
@@ -274,7 +276,7 @@ def line_places(line: Line, pitch_um: float) -> Float64Array:
 
 
 def share_at(mask: MaskArray | None, places: Float64Array) -> float | None:
-    """Fraction of the places at which a mask of shape (H, W) holds; None without a mask."""
+    """Return the fraction of the places at which a mask of shape (H, W) holds; None without a mask."""
     if mask is None:
         return None
     row, column = (np.clip(np.rint(places[:, axis]), 0, mask.shape[axis] - 1).astype(np.intp) for axis in (0, 1))
@@ -316,6 +318,6 @@ def painted(strokes: Sequence[MaskTable], shape: tuple[int, int], pitch_um: floa
 
 
 def without(height: HeightMap, mask: MaskArray) -> HeightMap:
-    """The height map, NaN under the mask."""
+    """Return the height map, NaN under the mask."""
     z_um: Float32Array = np.where(mask, np.float32(np.nan), height.z_um).astype(np.float32)
     return HeightMap(z_um, height.pitch_um)

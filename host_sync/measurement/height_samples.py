@@ -69,7 +69,7 @@ class FineNoise:
         self._tile = _unit_tile(round(cell_px), height_px)
 
     def sample_um(self, rng: np.random.Generator) -> Float32Array:
-        """One sample: float32 array of shape (H, W), µm."""
+        """Return one sample: float32 array of shape (H, W), µm."""
         tile = np.roll(self._tile, rng.integers(0, TILE_PX, 2), (0, 1))
         if rng.integers(2):
             tile = tile.T
@@ -79,7 +79,7 @@ class FineNoise:
 
 
 def _slope_square(samples_um: Float32Array, cell_um: float) -> Float32Array:
-    """Mean square of either slope over the samples: float32 array of shape (h, w)."""
+    """Return the mean square of either slope over the samples: float32 array of shape (h, w)."""
     total = np.zeros(samples_um.shape[1:], np.float32)
     for sample_um in samples_um:
         q, p = np.gradient(sample_um / np.float32(cell_um))
@@ -189,7 +189,7 @@ class HeightSamples:
         return len(self._samples_um)
 
     def noisier(self) -> Iterator[Float32Array]:
-        """The height map with its pixel noise once more, `NOISE_DRAWS` times: float32 arrays of shape (H, W), µm.
+        """Yield the height map with its pixel noise once more, `NOISE_DRAWS` times: float32 arrays of shape (H, W), µm.
 
         None of raw detail whose noise the result does not tell, none of shrunk detail.
         """
@@ -199,7 +199,7 @@ class HeightSamples:
                 yield self._z_um + self._pixel_noise.sample_um(rng)
 
     def surfaces(self) -> Iterator[SampledSurface]:
-        """Every surface, one after the other; the same ones at each call."""
+        """Yield every surface, one after the other; the same ones at each call."""
         size = (self._z_um.shape[1], self._z_um.shape[0])
         rng = np.random.default_rng(SEED + 1)
         for sample_um, factor, stretch in zip(self._samples_um, self._height_factor, self._stretch, strict=True):
@@ -211,7 +211,8 @@ class HeightSamples:
 
 
 def _balanced(rng: np.random.Generator, count: int) -> Float64Array:
-    """Normal numbers in random order, of mean 0 and mean square 1 exactly: few samples then hold a share as stated."""
+    """Return the normal numbers in random order, of mean 0 and mean square 1 exactly: few samples then hold a share as
+    stated."""
     if count < 2:
         return np.zeros(count)
     quantiles = norm.ppf((np.arange(count) + 0.5) / count)

@@ -62,18 +62,19 @@ class Levelling:
         self._plane = self._through(used)
 
     def plane(self, z_um: Float32Array) -> tuple[float, float, float]:
-        """The level of a height map: µm at the middle of the field, and per pixel down and across."""
+        """Return the level of a height map: µm at the middle of the field, and per pixel down and across."""
         zero, down, across = (float(value) for value in self._plane(z_um))
         return zero, down, across
 
     def apply(self, z_um: Float32Array) -> Float32Array:
-        """A height map of shape (H, W) less its level, float32."""
+        """Return a height map of shape (H, W) less its level, float32."""
         zero, down, across = self.plane(z_um)
         plane = zero + down * self._row[:, None] + across * self._column
         return np.asarray(z_um - plane.astype(np.float32), np.float32)
 
     def _through(self, used: MaskArray) -> Callable[[Float32Array], Float64Array]:
-        """Height at the middle of the field and slopes per row and column (µm/px) of the plane through the pixels."""
+        """Return the height at the middle of the field and slopes per row and column (µm/px) of the plane through the
+        pixels."""
         row, column = np.nonzero(used)
         step = max(1, row.size // MAX_FITTED)
         row, column = row[::step], column[::step]
@@ -132,7 +133,7 @@ class LevelSpread:
 
 
 def _chosen(table: LevelTable, surface: ResultSurface) -> MaskArray:
-    """The pixels that the level is fitted to: bool array of shape (H, W)."""
+    """Return the pixels that the level is fitted to: bool array of shape (H, W)."""
     height = surface.height
     valid = np.isfinite(height.z_um)
     used = np.zeros(valid.shape, np.bool_)
@@ -153,7 +154,8 @@ def _chosen(table: LevelTable, surface: ResultSurface) -> MaskArray:
 
 
 def untouched_skin(surface: ResultSurface) -> MaskArray:
-    """Untouched skin: the mask that reconstruction wrote, else what is flat, low and far from all else: bool (H, W).
+    """Return untouched skin: the mask that reconstruction wrote, else what is flat, low and far from all else: bool (H,
+    W).
 
     Raises
     ------

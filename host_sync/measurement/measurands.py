@@ -59,11 +59,11 @@ class Measurand(Protocol):
         ...
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Units by name, in order."""
+        """Return units by name, in order."""
         ...
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """The numbers on a surface of shape (H, W), NaN where undefined; at least those of `kinds`."""
+        """Return the numbers on a surface of shape (H, W), NaN where undefined; at least those of `kinds`."""
         ...
 
     @property
@@ -72,11 +72,11 @@ class Measurand(Protocol):
         ...
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """Warnings by name; those of all numbers under an empty name."""
+        """Return warnings by name; those of all numbers under an empty name."""
         ...
 
     def definition_sigmas(self) -> Mapping[str, float]:
-        """Standard uncertainties by name that no sample of the height error shows, in the number's unit."""
+        """Return the standard uncertainties by name that no sample of the height error shows, in the number's unit."""
         ...
 
 
@@ -102,7 +102,7 @@ class FailedMeasurand(_Plain):
         self.places_px = np.zeros((0, 2))
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """The one number that stands for all."""
+        """Return the one number that stands for all."""
         return {self._label: ParameterKind("")}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:  # noqa: ARG002 - nothing is found on it
@@ -110,7 +110,7 @@ class FailedMeasurand(_Plain):
         return {self._label: float("nan")}
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """The reason."""
+        """Return the reason."""
         return {"": (f"not measured: {self.reason}",)}
 
 
@@ -135,13 +135,13 @@ class StepMeasurand(_Plain):
         self._label = "depth" if self._sign < 0.0 else "height"
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Height, or depth of a groove; then where its edges lie along the line."""
+        """Return the height, or depth of a groove; then where its edges lie along the line."""
         if self.edges.kind == "step":
             return {self._label: _UM, "edge at": _LENGTH}
         return {self._label: _UM, "first edge at": _LENGTH, "second edge at": _LENGTH, "width": _LENGTH}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Step height or groove depth by ISO 5436-1, and the edges, µm."""
+        """Return the step height or groove depth by ISO 5436-1, and the edges, µm."""
         profile = profile_along(z_um, self._pitch_um, self.line)
         height = {self._label: self._sign * step_height_um(profile, self.edges)}
         places = self._edges_of(profile)
@@ -154,7 +154,7 @@ class StepMeasurand(_Plain):
         }
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """A line that is too short for the step's flank."""
+        """Return a line that is too short for the step's flank."""
         if self.edges.is_cut:
             words = (
                 f"the line ends within three lengths of the flank at {self.edges.places_um[0]:.0f} µm, so that the "
@@ -175,7 +175,7 @@ class StepMeasurand(_Plain):
         return {self._label: definition_sigma_um(self.profile, self.edges)}
 
     def _between_um(self, first_um: float, second_um: float, profile: Profile) -> float:
-        """Distance on the skin of two places along the line."""
+        """Return the distance on the skin of two places along the line."""
         known = np.isfinite(profile.z_um)
         along_um = np.array([first_um, second_um])
         z_um = np.interp(along_um, profile.along_um[known], profile.z_um[known])
@@ -205,7 +205,7 @@ class DistanceMeasurand(_Plain):
         self.values(height.z_um)  # a place outside the field is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Three lengths and the slope angle."""
+        """Return three lengths and the slope angle."""
         return {
             "along the skin": _LENGTH,
             "in height": _UM,
@@ -214,7 +214,7 @@ class DistanceMeasurand(_Plain):
         }
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Distances and slope angle."""
+        """Return distances and slope angle."""
         return between_places(z_um, self._places, *self._ends)
 
 
@@ -233,16 +233,16 @@ class AngleMeasurand(_Plain):
         self._bends_deg = [bend_deg(*one) for one in zip(cuts, (self._first, self._second), strict=True)]
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """One angle."""
+        """Return one angle."""
         return {"angle": ParameterKind("°", -1.0)}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Angle between the least-squares planes."""
+        """Return the angle between the least-squares planes."""
         first, second = (region.cut(z_um, self._pitch_um) for region in self._regions)
         return {"angle": between_planes_deg(first, second, (self._first, self._second))}
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """A region that is not flat."""
+        """Return a region that is not flat."""
         words = tuple(
             f"the {name} region is not flat, its halves lean {bend:.2g}° apart: draw it inside one face"
             for name, bend in zip(("first", "second"), self._bends_deg, strict=True)
@@ -275,11 +275,11 @@ class RadiusMeasurand(_Plain):
             )
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Radius, and RMS distance of the surface from the sphere."""
+        """Return the radius, and RMS distance of the surface from the sphere."""
         return {"radius": ParameterKind("µm", 2.0), "residual": _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Least-squares sphere; the radius of a hollow is negative."""
+        """Return the least-squares sphere; the radius of a hollow is negative."""
         found = fit_sphere(self._region.cut(z_um, self._pitch_um), self._places, self._start)
         return {"radius": found.radius_um, "residual": found.residual_um}
 
@@ -298,11 +298,11 @@ class VolumeMeasurand(_Plain):
         self.values(height.z_um)  # what cannot be measured is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Two volumes, a depth and a height."""
+        """Return two volumes, a depth and a height."""
         return {"void volume": _VOLUME, "material volume": _VOLUME, "largest depth": _UM, "largest height": _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Volumes below and above the plane through the border."""
+        """Return volumes below and above the plane through the border."""
         return pit_volumes(self._region.cut(z_um, self._pitch_um), self._places, self._border_px)
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
@@ -314,7 +314,7 @@ class VolumeMeasurand(_Plain):
 
 
 def _places_of(region: Region, height: HeightMap, places: SkinPlaces) -> SkinPlaces:
-    """Places of the pixels of a region."""
+    """Return places of the pixels of a region."""
     rows, columns = height.z_um.shape
     return places.of_part(*region.pixels((rows, columns), height.pitch_um))
 

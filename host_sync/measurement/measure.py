@@ -125,7 +125,7 @@ class _MeasurementPlan:
             self._spectrum = RadialSpectrum(self.areal.valid, height.pitch_um)
 
     def _doubts(self, surface: ResultSurface, one: Measurand, shape: tuple[int, int]) -> tuple[str, ...]:
-        """The result's doubts that concern a measurand, a sentence each."""
+        """Return the result's doubts that concern a measurand, a sentence each."""
         share = share_at(surface.extrapolated, one.places_px) if len(one.places_px) else None
         if one is self.areal and share is not None:
             share = 0.0  # it states its own fraction, and what was done with it
@@ -137,16 +137,16 @@ class _MeasurementPlan:
         return [self.areal, *self.others]
 
     def doubts_of(self, one: Measurand) -> tuple[str, ...]:
-        """The doubts of one of the measurands."""
+        """Return the doubts of one of the measurands."""
         return self.doubts[self.measurands.index(one)]
 
     def rough(self, z_um: Float32Array) -> tuple[Numbers, ...]:
-        """The parameters of surface and profiles of a height map of shape (H, W)."""
+        """Return the parameters of surface and profiles of a height map of shape (H, W)."""
         areal = self.areal.parameters(self.areal.surface(z_um).z_um)
         return (areal, *(one.values(z_um) for one in self.profiles))
 
     def evaluate(self, z_um: Float32Array, smooth_um: Float32Array, stretch: float = 1.0) -> _Evaluation:
-        """All measurands on height maps of shape (H, W), with lateral lengths scaled by `stretch`.
+        """Return all measurands on height maps of shape (H, W), with lateral lengths scaled by `stretch`.
 
         smooth_um : for steps, radii, distances, angles and volumes
 
@@ -165,7 +165,7 @@ class _MeasurementPlan:
         return _Evaluation(limited, [_stretched(*pair, stretch) for pair in zip(numbers, kinds, strict=True)], traces)
 
     def spectrum(self, found: _Evaluation) -> PowerSpectrum | None:
-        """The spectrum, if the recipe has one."""
+        """Return the spectrum, if the recipe has one."""
         bands = self._spectrum
         return None if bands is None else PowerSpectrum(bands.per_um, bands.width_per_um, found.traces[-1])
 
@@ -176,7 +176,7 @@ Made = TypeVar("Made", bound=Measurand)
 def _made(
     table: Any, label: str, kind: Callable[..., Made], *surface: HeightMap | SkinPlaces
 ) -> Made | FailedMeasurand:
-    """The measurand of a table, or what says why the result does not show it."""
+    """Return the measurand of a table, or what says why the result does not show it."""
     try:
         return kind(table, *surface)
     except MeasurementError as error:
@@ -194,7 +194,7 @@ def _numbers(one: Measurand, z_um: Float32Array) -> Numbers:
 def measure_result(
     folder: Path, recipe: Recipe, tell: Callable[[str], None] = lambda _: None, *, samples: bool = True
 ) -> Measurement:
-    """The measurement of a result folder, or of another instrument's file.
+    """Return the measurement of a result folder, or of another instrument's file.
 
     samples : whether to compute uncertainties; without them a measurement takes a fraction of the time
 
@@ -211,7 +211,7 @@ def measure_result(
 
 
 def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] = lambda _: None) -> Measurement:
-    """The measurement of a surface; errors as for `measure_result`."""
+    """Return the measurement of a surface; errors as for `measure_result`."""
     smooth = surface.with_detail(recipe.detail or "shrunk")
     surface = surface.with_detail(recipe.detail or "raw")
     if recipe.mask:
@@ -281,7 +281,7 @@ def _step(one: StepMeasurand, doubts: tuple[str, ...]) -> MeasuredStep:
 def _drawn(
     samples: HeightSamples, surface: ResultSurface, smooth: ResultSurface, recipe: Recipe
 ) -> Iterator[tuple[SampledSurface, SampledSurface]]:
-    """Every sample on the surface for roughness and on that for steps and radii, which may be one."""
+    """Yield every sample on the surface for roughness and on that for steps and radii, which may be one."""
     if smooth.detail == surface.detail:
         return ((drawn, drawn) for drawn in samples.surfaces())
     return zip(samples.surfaces(), HeightSamples(smooth, recipe.scale).surfaces(), strict=True)
@@ -354,7 +354,7 @@ def _quantities(
 
 
 def _notes(surface: ResultSurface, recipe: Recipe, samples: int) -> Iterable[str]:
-    """Notes on all numbers: samples, scale, warnings of the reconstruction."""
+    """Return notes on all numbers: samples, scale, warnings of the reconstruction."""
     if samples:
         own = uncertainty_of_uncertainty(samples)
         yield (

@@ -154,7 +154,7 @@ CSV_COLUMNS: Final = (
 
 
 def operations(recipe: Recipe) -> str:
-    """The operations on the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
+    """Return the operations on the surface, in order: "form: plane; S-filter: none; L-filter: 800 µm (Gaussian, …)"."""
     parts = [f"form removed: {recipe.form}" + ("" if recipe.form == "none" else " (least squares)")]
     for name, index_um in (("S", recipe.s_filter_um), ("L", recipe.l_filter_um)):
         if index_um is None:
@@ -169,7 +169,7 @@ def operations(recipe: Recipe) -> str:
 
 
 def as_text(measurement: Measurement) -> str:
-    """A table: operations, one line per quantity with its warnings, and notes."""
+    """Return a table: operations, one line per quantity with its warnings, and notes."""
     record = measurement.record
     lines = [f"{record.name}  ({measurement.folder})", operations(measurement.recipe)]
     lines += [f"doubt: {doubt.sentence}" for doubt in measurement.doubts]
@@ -193,7 +193,7 @@ def as_text(measurement: Measurement) -> str:
 
 
 def as_record(measurement: Measurement) -> dict[str, Any]:
-    """The record that `--json` writes; quantities state their unit, arrays are in µm."""
+    """Return the record that `--json` writes; quantities state their unit, arrays are in µm."""
     record = measurement.record
     return {
         "schema": SCHEMA,
@@ -227,7 +227,7 @@ def as_record(measurement: Measurement) -> dict[str, Any]:
 
 
 def as_csv(measurements: Sequence[Measurement], *, semicolon: bool = False) -> str:
-    """Rows of all quantities of several results, with a header.
+    """Return rows of all quantities of several results, with a header.
 
     semicolon : as for `table_text`
     """
@@ -246,7 +246,7 @@ def _row(measurement: Measurement, one: Quantity) -> list[object]:
 
 
 def shared_warnings(group: Sequence[Quantity]) -> tuple[str, ...]:
-    """Warnings that all quantities of a group share."""
+    """Return warnings that all quantities of a group share."""
     return tuple(
         warning for warning in group[0].warnings if all(warning in one.warnings for one in group) and len(group) > 1
     )

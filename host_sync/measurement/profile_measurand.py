@@ -54,7 +54,7 @@ class ProfileMeasurand:
         self._shows_form = found[f"{self._letter}z"] < 2.0 * found[f"{self._letter}a"] * (1.0 - ROUNDING)
 
     def trace(self, z_um: Float32Array) -> Profile:
-        """The profile of a surface of shape (H, W), levelled and filtered, over the whole line."""
+        """Return the profile of a surface of shape (H, W), levelled and filtered, over the whole line."""
         table = self._table
         raw = profile_along(z_um, self._pitch_um, self.line)
         heights = raw.z_um - _polynomial(raw, table.form_degree)
@@ -65,17 +65,17 @@ class ProfileMeasurand:
         return Profile(heights, raw.step_um)
 
     def kinds(self) -> Mapping[str, ParameterKind]:
-        """Parameters of ISO 21920-2 by name."""
+        """Return parameters of ISO 21920-2 by name."""
         return {self._letter + name: kind for name, kind in _KINDS.items()}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """The parameters over the evaluation length."""
+        """Return the parameters over the evaluation length."""
         whole = self.trace(z_um)
         part = whole.z_um[self._trim : whole.z_um.size - self._trim]
         return profile_parameters(Profile(part, whole.step_um), self._sections, self._letter)
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """Warnings if the line is too short for its sections, or shows form and no roughness."""
+        """Return warnings if the line is too short for its sections, or shows form and no roughness."""
         table = self._table
         if table.l_filter_um is None:
             return {}
@@ -93,7 +93,7 @@ class ProfileMeasurand:
         return {}
 
     def _evaluation(self, whole: Profile) -> tuple[int, int]:
-        """Number of sections, and of samples dropped at either end."""
+        """Return the number of sections, and of samples dropped at either end."""
         index_um = self._table.l_filter_um
         if index_um is None:
             return 1, 0
@@ -106,7 +106,7 @@ class ProfileMeasurand:
 
 
 def _polynomial(profile: Profile, degree: int) -> Float64Array:
-    """The least-squares polynomial of the valid samples: float64 array of shape (N,)."""
+    """Return the least-squares polynomial of the valid samples: float64 array of shape (N,)."""
     valid = np.isfinite(profile.z_um)
     degree = min(degree, max(int(valid.sum()) - 1, 0))
     if not valid.any():

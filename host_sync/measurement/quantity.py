@@ -107,14 +107,14 @@ LONG_UM: Final = 1e4
 
 
 def shown_in(unit: str, value: float) -> tuple[float, str]:
-    """Factor and unit for display: lengths of 10 mm and more in mm, volumes of 0.01 mm³ and more in mm³."""
+    """Return the factor and unit for display: lengths of 10 mm and more in mm, volumes of 0.01 mm³ and more in mm³."""
     if unit == "µm" and abs(value) >= LONG_UM:
         return 1e-3, "mm"
     return (1e-9, "mm³") if unit == "µm³" and abs(value) >= 1e7 else (1.0, unit)
 
 
 def plain(value: float) -> str:
-    """The value to four digits without an exponent where a person reads it so: 17500 and not 1.75e+04."""
+    """Return the value to four digits without an exponent where a person reads it so: 17500 and not 1.75e+04."""
     if value == 0.0:
         return "0"
     if not 1e-4 <= abs(value) < 1e9:
@@ -132,7 +132,8 @@ def decimals(uncertainty: float) -> int:
 
 
 def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:
-    """Standard uncertainty of a number, its noise bias, and the number of samples with a value; None with too few.
+    """Return the standard uncertainty of a number, its noise bias, and the number of samples with a value; None with
+    too few.
 
     The uncertainty combines the spread of the samples about their mean with the noise bias, which is not subtracted.
 
@@ -151,7 +152,7 @@ def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = Fa
 
 
 def noise_bias(value: float, offset: float) -> float:
-    """Noise bias of a number that the same noise, added once more, raises by `offset`.
+    """Return the noise bias of a number that the same noise, added once more, raises by `offset`.
 
     Noise and surface add in squares (Sq² = surface² + noise²), so the first noise raised the number by more than the
     second; on a flat surface that shows only noise, by the whole number. A negative `offset` is returned as it is.
@@ -163,7 +164,7 @@ def noise_bias(value: float, offset: float) -> float:
 
 
 def uncertainty_of_uncertainty(samples: int) -> float:
-    """Relative standard uncertainty of an uncertainty from K samples, 1 / sqrt(2 K)."""
+    """Return relative standard uncertainty of an uncertainty from K samples, 1 / sqrt(2 K)."""
     return float(1.0 / np.sqrt(2.0 * samples)) if samples else float("nan")
 
 
@@ -199,7 +200,7 @@ PITCH_FREE: Final = frozenset({"", "%", "°"})
 def judged(
     quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable], *, pitch_is_known: bool
 ) -> tuple[Quantity, ...]:
-    """The quantities, each with its limits and verdict where the recipe has a tolerance of it.
+    """Return the quantities, each with its limits and verdict where the recipe has a tolerance of it.
 
     pitch_is_known : whether uncertainties hold that of the pixel pitch
     """
@@ -219,7 +220,7 @@ def judged(
 
 
 def verdict_of(quantity: Quantity, low: float | None, high: float | None) -> Verdict:
-    """The verdict on a number under its limits, which are in the number's unit."""
+    """Return the verdict on a number under its limits, which are in the number's unit."""
     if quantity.value is None or quantity.uncertainty is None or any(w.startswith(VOID) for w in quantity.warnings):
         return "undecided"
     guard = GUARD * quantity.uncertainty / quantity.coverage_factor
@@ -233,6 +234,6 @@ def verdict_of(quantity: Quantity, low: float | None, high: float | None) -> Ver
 
 
 def unmet(quantities: Iterable[Quantity], tolerances: Iterable[ToleranceTable]) -> tuple[str, ...]:
-    """Names of numbers that have a tolerance and were not measured."""
+    """Return names of numbers that have a tolerance and were not measured."""
     known = {(one.subject, one.name) for one in quantities if one.value is not None}
     return tuple(f"{one.of}: {one.number}" for one in tolerances if (one.of, one.number) not in known)

@@ -185,7 +185,7 @@ class Recipe(_Table, frozen=True):
 
 
 def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
-    """The recipe with the given keys replaced, checked like a file.
+    """Return the recipe with the given keys replaced, checked like a file.
 
     Raises
     ------
@@ -221,7 +221,7 @@ _ACCEPTED: Final = {
 
 
 def read_recipe(path: Path) -> Recipe:
-    """The recipe of a file, each key checked.
+    """Return the recipe of a file, each key checked.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def recipe_of(data: bytes, source: str) -> Recipe:
-    """The recipe in a file's bytes; errors as for `read_recipe`.
+    """Return the recipe in a file's bytes; errors as for `read_recipe`.
 
     source : its name in errors
     """
@@ -250,7 +250,7 @@ def recipe_of(data: bytes, source: str) -> Recipe:
 
 
 def checked(recipe: Recipe, source: str) -> Recipe:
-    """The recipe, if its keys are consistent.
+    """Return the recipe, if its keys are consistent.
 
     source : its name in errors
 
@@ -336,7 +336,7 @@ def _check_tolerances(recipe: Recipe, source: str) -> None:
 
 
 def _explained(error: msgspec.ValidationError) -> str:
-    """The key, the problem, and what is accepted."""
+    """Return the key, the problem, and what is accepted."""
     key, problem = split_validation(error)
     table = re.sub(r"\[.*?\]", "", key)
     last = table.rpartition(".")[2]
@@ -352,7 +352,7 @@ def _explained(error: msgspec.ValidationError) -> str:
 
 
 def recipe_text(recipe: Recipe) -> str:
-    """The text of the recipe's file; `read_recipe` of it gives the same recipe."""
+    """Return the text of the recipe's file; `read_recipe` of it gives the same recipe."""
     given = dict(_given(recipe))
     lines = [f"{key} = {_value(value)}" for key, value in given.items() if not _is_table(value)]
     for key, value in given.items():
@@ -364,7 +364,7 @@ def recipe_text(recipe: Recipe) -> str:
 
 
 def _given(table: msgspec.Struct) -> Iterator[tuple[str, Any]]:
-    """Keys and values that differ from the defaults."""
+    """Yield keys and values that differ from the defaults."""
     for field in msgspec.structs.fields(table):
         value = getattr(table, field.name)
         if value is not None and (field.required or value != field.default):

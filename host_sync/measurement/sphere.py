@@ -53,7 +53,7 @@ class SphereForm:
         self._beside: MaskArray | None = None
 
     def remove(self, z_um: Float32Array) -> Float32Array:
-        """Heights above the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
+        """Return heights above the sphere: float32 array of shape (H, W), NaN where invalid or beside the sphere.
 
         Pixels beside the first surface's sphere stay invalid in later ones, so that a surface and its samples are
         compared on the same pixels.
@@ -69,7 +69,7 @@ class SphereForm:
 
 
 def fit_sphere(z_um: Float32Array, places: SkinPlaces, start: Sphere | None = None) -> Sphere:
-    """The least-squares sphere of the valid pixels of a surface.
+    """Return the least-squares sphere of the valid pixels of a surface.
 
     places : of its pixels
     start : a sphere close to it, if known
@@ -104,7 +104,7 @@ def fit_sphere(z_um: Float32Array, places: SkinPlaces, start: Sphere | None = No
 
 
 def _algebraic(z_um: Float32Array, valid: MaskArray, pitch_um: float) -> Sphere:
-    """The sphere of the linear fit x² + y² + z² = 2 a x + 2 b y + 2 c z + d."""
+    """Return the sphere of the linear fit x² + y² + z² = 2 a x + 2 b y + 2 c z + d."""
     row, column = (index * pitch_um for index in np.nonzero(valid))
     step = max(1, row.size // 200_000)
     places: Float64Array = np.stack([column, row, z_um[valid].astype(np.float64), np.ones(row.size)], axis=-1)[::step]
@@ -122,7 +122,7 @@ def _algebraic(z_um: Float32Array, valid: MaskArray, pitch_um: float) -> Sphere:
 
 @njit(cache=True)
 def _step(z_um: Any, grid: Any, state: Any) -> tuple[Float64Array, Float64Array, float]:
-    """Normal equations of one Gauss-Newton step, and the sum of squared distances."""
+    """Return the normal equations of one Gauss-Newton step, and the sum of squared distances."""
     rows, columns = z_um.shape
     normal, right, square = np.zeros((4, 4)), np.zeros(4), 0.0
     gradient = np.empty(4)

@@ -97,7 +97,7 @@ def trend_of(
     coverage_factor: int = 1,
     warnings: Sequence[Sequence[str]] = (),
 ) -> Trend | None:
-    """The trend of values in order, None where one is not known; None with fewer than two.
+    """Return the trend of values in order, None where one is not known; None with fewer than two.
 
     sigmas : standard uncertainty of each value; the trend has none where a value that takes part has none
     low, high : the tolerance
@@ -183,7 +183,8 @@ def _capability(
 
 
 def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Quantity, list[Quantity | None], Trend]]:
-    """The trend of each number that two results or more have: an example of it, one per result, and its trend."""
+    """Return the trend of each number that two results or more have: an example of it, one per result, and its
+    trend."""
     rows: dict[tuple[str, str], list[Quantity | None]] = {}
     for at, measurement in enumerate(measurements):
         for one in measurement.quantities:
@@ -205,7 +206,7 @@ def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Q
 
 
 def trend_record(measurements: Sequence[Measurement]) -> dict[str, Any]:
-    """The record of all trends that `--json` writes after the results'; uncertainties as in `Trend`."""
+    """Return the record of all trends that `--json` writes after the results'; uncertainties as in `Trend`."""
     return {
         "schema": SCHEMA,
         "results": [str(one.folder) for one in measurements],

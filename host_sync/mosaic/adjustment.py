@@ -57,7 +57,7 @@ class Adjusted:
     root: int
 
     def distance_sigma_px(self, one: int, other: int) -> float:
-        """Standard uncertainty of the distance of two presses' middles, px."""
+        """Return the standard uncertainty of the distance of two presses' middles, px."""
         start, end = self.places[one], self.places[other]
         if start is None or end is None:
             return float("nan")
@@ -70,7 +70,7 @@ class Adjusted:
 
 
 def adjusted(links: list[Link], presses: int, reach_px: float) -> Adjusted:
-    """The places of the presses.
+    """Return the places of the presses.
 
     links : that were not refused by themselves
     presses : number of presses
@@ -108,12 +108,12 @@ def adjusted(links: list[Link], presses: int, reach_px: float) -> Adjusted:
 
 
 def _near(links: list[Link], inside: list[int], places: dict[int, Motion], reach_px: float) -> list[int]:
-    """The links that roughly agree with first places: a tree adds up the errors of its links."""
+    """Return the links that roughly agree with first places: a tree adds up the errors of its links."""
     return [number for number in inside if _residual_px(links[number], places) <= 0.05 * reach_px]
 
 
 def _one_a_pair(links: list[Link], fitting: set[int], off: dict[int, float]) -> set[int]:
-    """One link of each pair of presses, the nearest."""
+    """Return one link of each pair of presses, the nearest."""
     best: dict[tuple[int, int], int] = {}
     for number in sorted(fitting, key=lambda one: off[one]):
         best.setdefault((links[number].first, links[number].second), number)
@@ -123,7 +123,7 @@ def _one_a_pair(links: list[Link], fitting: set[int], off: dict[int, float]) -> 
 def _connecting(
     links: list[Link], wanted: set[int], before: set[int], root: int, places: dict[int, Motion]
 ) -> set[int]:
-    """The wanted links, and of those before them what still is needed to reach every press."""
+    """Return the wanted links, and of those before them what still is needed to reach every press."""
     kept = set(wanted)
     while True:
         reached, grew = {root}, True
@@ -171,7 +171,7 @@ def _sigmas(link: Link, places: dict[int, Motion]) -> float:
 def _solved(
     links: list[Link], used: list[int], places: dict[int, Motion], root: int
 ) -> tuple[dict[int, Motion], Float64Array]:
-    """The least-squares places from those given, and their covariance in the order of the presses' numbers."""
+    """Return the least-squares places from those given, and their covariance in the order of the presses' numbers."""
     order = {press: number for number, press in enumerate(sorted(places))}
     count = 3 * len(order)
     free = np.array([at for at in range(count) if at // 3 != order[root]], int)
@@ -258,7 +258,7 @@ def supports(links: list[Link], reach_px: float) -> list[int]:
 
 
 def first_places(links: list[Link], counts: list[int], presses: int) -> tuple[dict[int, Motion], int]:
-    """Motions of the presses of the largest linked group into the mosaic, and its root.
+    """Return motions of the presses of the largest linked group into the mosaic, and its root.
 
     The tree takes links in the order of the loops that they close, then of their strength.
     """

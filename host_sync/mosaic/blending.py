@@ -29,7 +29,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def disk_array(path: Path, dtype: type[Scalar], shape: tuple[int, int]) -> NDArray[Scalar]:
-    """Zeros in a new file, as a memory map of shape (H, W).
+    """Return zeros in a new file, as a memory map of shape (H, W).
 
     A memory map of a file with holes ends the program without a word (SIGBUS) where the disk fills up.
 
@@ -88,7 +88,7 @@ class Blend:
 
 
 def canvas_of(places: list[Motion], shapes: list[tuple[int, int]], max_pixels: int = MAX_PIXELS) -> Canvas:
-    """The grid that holds all presses, as fine as theirs where that is not too large.
+    """Return the grid that holds all presses, as fine as theirs where that is not too large.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def blend(
     folder: Path,
     tell: Callable[[int], None] = lambda _: None,
 ) -> Blend:
-    """The mosaic of the presses.
+    """Return the mosaic of the presses.
 
     levels : planes of these presses, in their order
     folder : for the sums
@@ -170,7 +170,8 @@ def blend(
 def _windows(
     canvas: Canvas, place: Motion, shape: tuple[int, int]
 ) -> Iterator[tuple[tuple[slice, slice], tuple[Float32Array, Float32Array]]]:
-    """Parts of the canvas that a press covers, and where their pixels lie in it (row, column, px of the press)."""
+    """Yield parts of the canvas that a press covers, and where their pixels lie in it (row, column, px of the
+    press)."""
     corners = (place.of(_corners(shape)) - (canvas.top, canvas.left)) / canvas.step
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
     high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, canvas.shape)
@@ -215,7 +216,7 @@ class _Source:
         return cls(z_um, sigma_um, _taper(known) / sigma_um**2, beyond, step)
 
     def at(self, row: Float32Array, column: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array, MaskArray]:
-        """Height, uncertainty, weight and whether it is extrapolated at places (px of the press)."""
+        """Return the height, uncertainty, weight and whether it is extrapolated at places (px of the press)."""
         row, column = (((at + 0.5) / self.step - 0.5).astype(np.float32) for at in (row, column))
 
         def between(values: Float32Array) -> Float32Array:

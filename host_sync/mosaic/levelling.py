@@ -70,7 +70,7 @@ class Levels:
 
 
 def meeting(presses: list[Small], first: int, second: int, motion: Motion) -> Meeting:
-    """The differences of two presses; motion: from the first to the second."""
+    """Return the differences of two presses; motion: from the first to the second."""
     one, other = presses[first], presses[second]
     step, (rows, columns) = one.step, one.z_um.shape
     middle = np.array(one.centred((0.5 * (rows - 1), 0.5 * (columns - 1))))
@@ -96,7 +96,7 @@ def meeting(presses: list[Small], first: int, second: int, motion: Motion) -> Me
 
 
 def levelled(meetings: list[Meeting], presses: int, reach_px: float) -> Levels:
-    """The planes of all presses.
+    """Return the planes of all presses.
 
     meetings : of the links in use; together they join the presses that have a place
     reach_px : half the diagonal of a press, to which tilts are scaled
@@ -127,7 +127,7 @@ def levelled(meetings: list[Meeting], presses: int, reach_px: float) -> Levels:
 
 
 def _design(one: Meeting, reach_px: float) -> tuple[Float64Array, list[int]]:
-    """Equations of a meeting, and the columns of the six unknowns that they are about."""
+    """Return equations of a meeting, and the columns of the six unknowns that they are about."""
     ones = np.ones((len(one.apart_um), 1))
     design = np.hstack([-ones, -one.here / reach_px, ones, one.there / reach_px])
     return design, [*range(3 * one.first, 3 * one.first + 3), *range(3 * one.second, 3 * one.second + 3)]
@@ -139,18 +139,18 @@ def _rest(one: Meeting, solution: Float64Array, reach_px: float) -> Float64Array
 
 
 def _tukey(off: Float64Array) -> Float64Array:
-    """Weights of residuals (in σ): 0 where they are no noise."""
+    """Return weights of residuals (in σ): 0 where they are no noise."""
     spread = TUKEY * max(1.4826 * float(np.median(np.abs(off))) if off.size else 1.0, 0.1)
     return np.asarray(np.clip(1.0 - (off / spread) ** 2, 0.0, None) ** 2, np.float64)
 
 
 def _inverse(normal: Float64Array) -> Float64Array:
-    """Inverse without the directions that no difference shows."""
+    """Return the inverse without the directions that no difference shows."""
     values, vectors = np.linalg.eigh(normal)
-    told = values > 1e-9 * max(float(values[-1]), 1e-30)
-    told[: min(GAUGE, len(told))] = False
-    turned = vectors[:, told]
-    return np.asarray((turned / values[told]) @ turned.T, np.float64)
+    determined = values > 1e-9 * max(float(values[-1]), 1e-30)
+    determined[: min(GAUGE, len(determined))] = False
+    turned = vectors[:, determined]
+    return np.asarray((turned / values[determined]) @ turned.T, np.float64)
 
 
 def _known(sigma_um: Float64Array) -> Float64Array:

@@ -94,7 +94,7 @@ class Link:
 
 
 def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int], None] = lambda _: None) -> list[Link]:
-    """The links that candidates lead to, refused ones too.
+    """Return the links that candidates lead to, refused ones too.
 
     wanted : best first; a press whose last candidates all failed is not looked at again for another such press
     """
@@ -114,8 +114,8 @@ def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int]
 
 
 def _without_rivals(found: list[Link]) -> list[Link]:
-    """The links, each place of a pair once: those refused that another place of the same presses rivals, or that agree
-    less than links here do.
+    """Return the links, each place of a pair once: those refused that another place of the same presses rivals, or that
+    agree less than links here do.
     """
     pairs: dict[tuple[int, int], list[Link]] = {}
     for link in found:
@@ -140,7 +140,7 @@ def _without_rivals(found: list[Link]) -> list[Link]:
 
 
 def linked(presses: list[Small], candidate: Candidate) -> Link | None:
-    """The link that a candidate leads to, refused or not; None where the presses hardly overlap there."""
+    """Return the link that a candidate leads to, refused or not; None where the presses hardly overlap there."""
     one, other = presses[candidate.first], presses[candidate.second]
     start = candidate.motion
     cut = _cut(one, other, start)
@@ -174,7 +174,7 @@ def linked(presses: list[Small], candidate: Candidate) -> Link | None:
 
 
 def _refusal(found: Fit, pair: Pair, one: Small) -> str:
-    """Why a fit is no link; empty when it is one."""
+    """Return why a fit is no link; empty when it is one."""
     if float(found.common.sum()) < MIN_SHARE * one.z_um.size:
         return "they hardly overlap there"
     if found.agreement < MIN_AGREEMENT:
@@ -187,7 +187,7 @@ def _refusal(found: Fit, pair: Pair, one: Small) -> str:
 
 
 def _fitted(first: Float32Array, second: Float32Array, pose: Pose) -> Fit | None:
-    """The fit from a pose, coarsely and then finely."""
+    """Return the fit from a pose, coarsely and then finely."""
     step = min(-(-max(first.shape) // ROUGH_PX), min(*first.shape, *second.shape) // ROUGH_SIDE_PX)
     if step > 1:
         near = fit(Pair.of(first, second, -(-max(first.shape) // step)), pose)
@@ -200,7 +200,7 @@ def _fitted(first: Float32Array, second: Float32Array, pose: Pose) -> Fit | None
 def _cut(
     one: Small, other: Small, motion: Motion
 ) -> tuple[Float32Array, Float32Array, tuple[int, int], tuple[int, int]] | None:
-    """Both reduced presses cut to their overlap, and the first row and column of either piece."""
+    """Return both reduced presses cut to their overlap, and the first row and column of either piece."""
     to_there = _in_cells(one, other, motion)
     to_here = _in_cells(other, one, motion.back())
     margin = round(MARGIN * max(one.z_um.shape))
@@ -214,7 +214,7 @@ def _cut(
 
 
 def _piece(press: Small, box: tuple[int, int, int, int]) -> Float32Array:
-    """A piece of a press with an invalid border, which keeps smoothing from making slopes there."""
+    """Return a piece of a press with an invalid border, which keeps smoothing from making slopes there."""
     piece = press.z_um[box[0] : box[2], box[1] : box[3]].copy()
     piece[[0, -1]] = np.nan
     piece[:, [0, -1]] = np.nan
@@ -222,7 +222,7 @@ def _piece(press: Small, box: tuple[int, int, int, int]) -> Float32Array:
 
 
 def _in_cells(one: Small, other: Small, motion: Motion) -> Motion:
-    """The motion between cells of reduced presses, from their middles."""
+    """Return the motion between cells of reduced presses, from their middles."""
     middle = np.array(one.centred((0.5 * (one.z_um.shape[0] - 1), 0.5 * (one.z_um.shape[1] - 1))))
     end = np.array(other.centred((0.5 * (other.z_um.shape[0] - 1), 0.5 * (other.z_um.shape[1] - 1))))
     away = (motion.of(middle) - end) / one.step
@@ -236,7 +236,8 @@ def _box(
     margin: int,
     box: tuple[int, int, int, int],
 ) -> tuple[int, int, int, int] | None:
-    """The rows and columns (first, first, end, end) of a map of `shape` that a box of a map of `start` covers."""
+    """Return the rows and columns (first, first, end, end) of a map of `shape` that a box of a map of `start`
+    covers."""
     rows, columns = (box[0], box[2] - 1), (box[1], box[3] - 1)
     corners = np.array([(row, column) for row in rows for column in columns], np.float64)
     places = motion.of(corners - 0.5 * (np.array(start[:2]) - 1)) + 0.5 * (np.array(shape[:2]) - 1)

@@ -17,7 +17,7 @@ QUARTER: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 def turning(turn: float) -> Float64Array:
-    """The rotation of places (row, column) by `turn` (rad): float64 array of shape (2, 2)."""
+    """Return the rotation of places (row, column) by `turn` (rad): float64 array of shape (2, 2)."""
     cosine, sine = np.cos(turn), np.sin(turn)
     return np.array([[cosine, sine], [-sine, cosine]])
 
@@ -44,11 +44,12 @@ class Motion:
         return Motion(float(down), float(right), self.turn + other.turn)
 
     def back(self) -> Motion:
-        """The inverse motion."""
+        """Return the inverse motion."""
         down, right = -(turning(-self.turn) @ (self.down, self.right))
         return Motion(float(down), float(right), -self.turn)
 
     def distance_px(self, other: Motion, reach_px: float) -> float:
-        """Largest distance between where both put a place up to `reach_px` from the middle, to first order."""
+        """Return the largest distance between where both put a place up to `reach_px` from the middle, to first
+        order."""
         turn = (self.turn - other.turn + np.pi) % (2.0 * np.pi) - np.pi
         return float(np.hypot(self.down - other.down, self.right - other.right) + reach_px * abs(turn))

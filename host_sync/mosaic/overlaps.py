@@ -105,7 +105,7 @@ def _overlap(rows: int, columns: int, shape: tuple[int, int]) -> tuple[NDArray[n
 
 
 def _near(layout: Layout, first: int, second: int, px: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Shifts that the layout allows: where the first's middle lies in the second."""
+    """Return shifts that the layout allows: where the first's middle lies in the second."""
     expected = (layout.places_px[first] - layout.places_px[second]) / px
     reach = layout.within_px / px + 1.0
     off = []
@@ -122,7 +122,7 @@ def _best(
     near: NDArray[np.bool_],
     px: int,
 ) -> list[Candidate]:
-    """The best places of one pair over all turns."""
+    """Return the best places of one pair over all turns."""
     peaks: list[tuple[float, int, int, float]] = []
     for turn, score in zip(turns, scores, strict=True):
         spread = float(np.sqrt(np.mean(score * score, where=near))) or 1.0
@@ -154,7 +154,7 @@ def _best(
 
 
 def _chosen(found: list[Candidate], count: int) -> list[Candidate]:
-    """The best ranked, best first, so that no press is verified with too many."""
+    """Return the best ranked, best first, so that no press is verified with too many."""
     seen = np.zeros(count, int)
     chosen = []
     for one in sorted(found, key=lambda one: -one.rank):
@@ -186,7 +186,7 @@ COLUMNS: Final = ("scan", "right_mm", "down_mm")
 
 
 def read_layout(path: Path, presses: list[Press], within_mm: float) -> Layout:
-    """The layout of the presses.
+    """Return the layout of the presses.
 
     within_mm : how far off it may be
 

@@ -70,7 +70,7 @@ class Small:
     has_sigma: bool = True
 
     def centred(self, place: tuple[float, float]) -> tuple[float, float]:
-        """A place of the reduced map (row, column) as px of the press from its middle."""
+        """Return a place of the reduced map (row, column) as px of the press from its middle."""
         row, column = (
             (at + 0.5) * self.step - 0.5 - 0.5 * (size - 1) for at, size in zip(place, self.full, strict=True)
         )
@@ -78,7 +78,7 @@ class Small:
 
 
 def press_of(folder: Path, library: Path | None = None) -> Press:
-    """The press whose result is in a folder; its fields are read later.
+    """Return the press whose result is in a folder; its fields are read later.
 
     library : in which the result is one of a scan, whose name the press then has
 
@@ -100,7 +100,7 @@ def press_of(folder: Path, library: Path | None = None) -> Press:
 def presses_of(
     folders: Sequence[Path], out: Path, library: Path | None = None, left_out: list[str] | None = None
 ) -> list[Press]:
-    """The presses whose results are in the folders.
+    """Return the presses whose results are in the folders.
 
     out : where their mosaic will be written
     library : as for `press_of`
@@ -172,7 +172,7 @@ def check_together(presses: Sequence[Press], left_out: Sequence[str] = ()) -> No
 
 
 def small_of(press: Press) -> Small:
-    """The press reduced to `REDUCED_PX`.
+    """Return the press reduced to `REDUCED_PX`.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def small_of(press: Press) -> Small:
 
 
 def read_small(presses: Sequence[Press], tell: Callable[[str], None]) -> tuple[dict[int, Small], list[str]]:
-    """The presses that can be used, reduced, by number; and a sentence for each other one."""
+    """Return the presses that can be used, reduced, by number; and a sentence for each other one."""
     small: dict[int, Small] = {}
     left_out: list[str] = []
     for number, press in enumerate(presses):

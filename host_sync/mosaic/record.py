@@ -105,5 +105,5 @@ class MosaicRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def encode_mosaic(record: MosaicRecord) -> bytes:
-    """The bytes of `mosaic.json`."""
+    """Return the bytes of `mosaic.json`."""
     return msgspec.json.format(msgspec.json.encode(record), indent=2)

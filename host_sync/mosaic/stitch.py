@@ -35,7 +35,7 @@ MIN_OVERLAP: Final = 0.3
 
 
 def period_px(press: Small) -> float | None:
-    """The shortest distance at which a press looks like itself, px of the press; None where none does."""
+    """Return the shortest distance at which a press looks like itself, px of the press; None where none does."""
     step = max(1, -(-max(press.z_um.shape) // COARSE_PX))
     slopes = coarse_slopes(reduced(press.z_um, step))
     rows, columns = slopes.shape
@@ -61,7 +61,7 @@ def period_px(press: Small) -> float | None:
 
 
 def repeats_px(presses: list[Small]) -> float | None:
-    """The shortest period of a mosaic's presses, px; None where fewer than half of them repeat."""
+    """Return the shortest period of a mosaic's presses, px; None where fewer than half of them repeat."""
     found = [period for period in map(period_px, presses) if period is not None]
     return min(found) if 2 * len(found) >= len(presses) and found else None
 
@@ -77,7 +77,7 @@ def stitch(
     left_out: Sequence[str] = (),
     tell: Tell = lambda _: None,
 ) -> MosaicRecord:
-    """The mosaic of the presses, written to the directory `out` as a result; returns its record.
+    """Return the mosaic of the presses, written to the directory `out` as a result; returns its record.
 
     left_out : a sentence for each press that is missing among `presses`; those that cannot be read are added
 
@@ -117,7 +117,7 @@ def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = 
 
 
 def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell: Tell) -> Plan:
-    """The plan of presses that were read."""
+    """Return the plan of presses that were read."""
     tell("looking for overlaps")
     period_px = repeats_px(small)
     if period_px is not None and layout is None:
@@ -160,7 +160,7 @@ def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell:
 
 
 def _doubted(period_px: float | None, layout: Layout | None) -> float | None:
-    """The period that a layout leaves room for; None where none does."""
+    """Return the period that a layout leaves room for; None where none does."""
     if period_px is None or layout is None or layout.within_px < 0.5 * period_px:
         return None
     return period_px

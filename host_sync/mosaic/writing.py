@@ -159,7 +159,7 @@ def _seam(plan: Plan, number: int) -> dict[str, float]:
 
 
 def _result_record(name: str, members: list[Press], mosaic: MosaicRecord, blended: Blend) -> ResultRecord:
-    """The record of the mosaic as a result."""
+    """Return the record of the mosaic as a result."""
     records = [press.record for press in members]
     rows, columns = blended.z_um.shape
     step = max(1, int(np.sqrt(rows * columns / SAMPLES)))
@@ -196,7 +196,7 @@ def _extreme(z_um: Float32Array, which: np.ufunc) -> float | None:
 
 
 def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
-    """Why to distrust the mosaic, and what its presses warn of."""
+    """Yield why to distrust the mosaic, and what its presses warn of."""
     if mosaic.left_out:
         yield f"left out, as no overlap was found: {some_of(mosaic.left_out)}"
     if mosaic.unusable:

@@ -68,7 +68,7 @@ class RemoteBundle:
 
 
 def read_remote_bundle(source: Source, kind: BundleKind, bundle_id: str) -> RemoteBundle:
-    """The manifest of a bundle, checked.
+    """Return the manifest of a bundle, checked.
 
     Raises
     ------
@@ -192,7 +192,8 @@ def _download_file(
 
 
 def _download_rest(source: Source, place: str, entry: FileEntry, part: Path, advance: Advance) -> tuple[int, str]:
-    """Size and SHA-256 of a file that was completed in `part`; stops as soon as more arrives than was stated.
+    """Return the size and SHA-256 of a file that was completed in `part`; stops as soon as more arrives than was
+    stated.
 
     An empty file is asked for, too: a source that does not have it does not offer this bundle.
     """

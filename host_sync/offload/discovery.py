@@ -29,7 +29,7 @@ class Announcement:
 
 
 def discover(listen_s: float, interfaces: Sequence[str] | None = None, wanted: str | None = None) -> list[Announcement]:
-    """The devices announced within that time, sorted by name.
+    """Return the devices announced within that time, sorted by name.
 
     interfaces : own addresses to listen on; all when None
     wanted : name of a device; listening ends as soon as it is found

@@ -237,7 +237,7 @@ class PullLog:
             self.fail(kind, bundle_id, str(error))
 
     def report(self, library: Library, unreceipted: str | None, refusals: Mapping[str, str]) -> PullReport:
-        """The report; `unreceipted` is why the source takes no receipts, `refusals` why it refused some."""
+        """Return the report; `unreceipted` is why the source takes no receipts, `refusals` why it refused some."""
         here = {*self.copied, *self.already_there}
         folder: Path = library.root / "calibrations"
         orphans = (scan for scan, needed in self.needs.items() if scan in here and not (folder / needed).is_dir())

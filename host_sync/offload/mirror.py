@@ -48,7 +48,7 @@ class SftpPlace:
 
     @classmethod
     def parse(cls, text: str) -> SftpPlace | None:
-        """The place, None when the text is no sftp address.
+        """Return the place, None when the text is no sftp address.
 
         Raises
         ------

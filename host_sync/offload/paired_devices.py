@@ -86,7 +86,7 @@ class PairedDevices:
         self.folder = folder
 
     def all(self) -> list[PairedDevice]:
-        """Every paired device, sorted by id.
+        """Return every paired device, sorted by id.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class PairedDevices:
         return [decode_record(read_small(path, _REMEDY), PairedDevice, path, _REMEDY) for path in files]
 
     def find(self, name: str) -> PairedDevice:
-        """The device of that id or host name, or the only one whose id begins or ends so.
+        """Return the device of that id or host name, or the only one whose id begins or ends so.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class PairedDevices:
                 (self.folder / kind / f"{device_id}.json").unlink(missing_ok=True)
 
     def sync_state(self, device_id: str) -> SyncState | None:
-        """Outcome of the last sync, None before the first."""
+        """Return the outcome of the last sync, None before the first."""
         path = self.folder / "synced" / f"{device_id}.json"
         return decode_record(read_small(path, _REMEDY), SyncState, path, _REMEDY) if path.exists() else None
 
@@ -134,7 +134,7 @@ class PairedDevices:
         self._store("synced", state.device_id, state)
 
     def private_key(self, make: Callable[[], bytes]) -> Path:
-        """File of this workstation's private key; `make` generates it when absent."""
+        """Return the file of this workstation's private key; `make` generates it when absent."""
         path = self.folder / "id_ed25519"
         if not path.exists():
             with self._translating():
@@ -172,7 +172,7 @@ CONFIRMATION_S: Final = 120.0
 
 
 def new_private_key() -> bytes:
-    """A new private key in OpenSSH's format."""
+    """Return a new private key in OpenSSH's format."""
     return asyncssh.generate_private_key("ssh-ed25519").export_private_key()
 
 
@@ -229,7 +229,7 @@ def pair_over_network(host: str, port: int, card: HostCard, same_code: Callable[
 
 
 def pair_by_card(memory_card: Path, card: HostCard, host: str | None) -> PairedDevice | None:
-    """The device whose card is on a memory card; None when it has left none yet. Ours is left there in any case.
+    """Return the device whose card is on a memory card; None when it has left none yet. Ours is left there in any case.
 
     host : the device's address; its id under ".local" when None
 

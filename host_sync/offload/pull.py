@@ -92,7 +92,7 @@ def pull_into(
 
 
 def _receipted(source: Source, log: PullLog, receipts: ReceiptWriter | None) -> set[str | None]:
-    """Ids that the source has a file of receipt for: a hint only, the library's own record decides."""
+    """Return ids that the source has a file of receipt for: a hint only, the library's own record decides."""
     if receipts is None:
         return set()
     try:
@@ -122,7 +122,7 @@ class _Survey:
     trust_record: bool
 
     def wanted(self) -> list[RemoteBundle]:
-        """The offers that the library lacks; everything else goes to the log."""
+        """Return the offers that the library lacks; everything else goes to the log."""
         wanted = []
         for kind in _ORDER:
             for bundle_id in self._ids(kind):
@@ -141,7 +141,7 @@ class _Survey:
         return ()
 
     def _wanted(self, kind: BundleKind, bundle_id: str) -> RemoteBundle | None:
-        """The offer, or None when the library holds it; that is noted."""
+        """Return the offer, or None when the library holds it; that is noted."""
         known = self.trust_record or bundle_id in self.receipted
         if known and not self.verify and self.library.looks_whole(kind, bundle_id):
             self.log.already_there.append(bundle_id)
@@ -194,7 +194,7 @@ def _holds(library: Library, offer: RemoteBundle) -> bool:
 
 
 def _fitting(offers: Sequence[RemoteBundle], library: Library, log: PullLog) -> list[RemoteBundle]:
-    """The offers for which there is room, one after the other; the others go to the log.
+    """Return the offers for which there is room, one after the other; the others go to the log.
 
     Raises
     ------
@@ -250,7 +250,7 @@ class _Meter:
 
 
 def utc_now() -> datetime:
-    """The time, UTC, in whole seconds."""
+    """Return the time, UTC, in whole seconds."""
     return datetime.now(UTC).replace(microsecond=0)
 
 
@@ -263,7 +263,7 @@ def sync(
     *,
     verify: bool = False,
 ) -> list[PullReport | HostError | DeviceError]:
-    """The outcome of each device, in the given order; one that fails does not hold up the others.
+    """Return the outcome of each device, in the given order; one that fails does not hold up the others.
 
     verify : hash again what an earlier pull has verified
 

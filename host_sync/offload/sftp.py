@@ -46,11 +46,11 @@ class SftpSource:
         return self._link.name
 
     def bundle_names(self, kind: BundleKind) -> BundleNames:
-        """Ids of the published bundles, and entries that cannot be bundles."""
+        """Return ids of the published bundles, and entries that cannot be bundles."""
         return bundle_names(self._entries(kind))
 
     def names(self, folder: str) -> list[str]:
-        """Names in a folder of the store, sorted; none when there is no such folder."""
+        """Return names in a folder of the store, sorted; none when there is no such folder."""
         return sorted(entry.name for entry in self._entries(folder))
 
     def _entries(self, folder: str) -> list[FolderEntry]:
@@ -85,7 +85,7 @@ class SftpSource:
         return True
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A file's bytes from an offset, with several requests in flight."""
+        """Yield a file's bytes from an offset, with several requests in flight."""
         self._link.note_progress()
         while True:
             session = self._link.session
@@ -225,7 +225,7 @@ def _own_file(path: Path) -> IO[bytes]:
 
 
 def _own_block(stream: IO[bytes]) -> bytes:
-    """The next block of a file of ours; an error here is not the link's, so it is not retried."""
+    """Return the next block of a file of ours; an error here is not the link's, so it is not retried."""
     try:
         return stream.read(WRITTEN_BYTES)
     except OSError as error:

@@ -107,7 +107,7 @@ class ReconnectingSftp:
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     def result(self, future: Future[T]) -> T:
-        """Result of started work.
+        """Return the result of started work.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class ReconnectingSftp:
             raise LinkBroken from error
 
     def retry(self, work: Callable[[asyncssh.SFTPClient], Coroutine[Any, Any, T]]) -> T:
-        """Result of work that may start again on a new connection. Errors as for `restore` and `result`."""
+        """Return the result of work that may start again on a new connection. Errors as for `restore` and `result`."""
         self.note_progress()
         for _ in range(MAX_RETRIES):
             session = self.session
@@ -162,7 +162,7 @@ class ReconnectingSftp:
                     raise
 
     def _awaited(self, future: Future[T]) -> T:
-        """Result of a future, awaited as long as data keeps arriving."""
+        """Return the result of a future, awaited as long as data keeps arriving."""
         while True:
             left_s = self.left_s
             try:
@@ -248,7 +248,7 @@ class Timeouts:
 
     @classmethod
     def of_patience(cls, give_up_s: float) -> Timeouts:
-        """Those that give up after so long without data, a positive number, with keepalives in proportion."""
+        """Return those that give up after so long without data, a positive number, with keepalives in proportion."""
         return cls(keepalive_s=give_up_s / KEEPALIVES, give_up_s=give_up_s)
 
 

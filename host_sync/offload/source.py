@@ -32,7 +32,7 @@ class Source(Protocol):
         ...
 
     def bundle_names(self, kind: BundleKind) -> BundleNames:
-        """Ids of the published bundles, and entries that cannot be bundles.
+        """Return ids of the published bundles, and entries that cannot be bundles.
 
         Raises
         ------
@@ -42,7 +42,7 @@ class Source(Protocol):
         ...
 
     def names(self, folder: str) -> list[str]:
-        """Names in a folder of the store, sorted; none when there is no such folder.
+        """Return names in a folder of the store, sorted; none when there is no such folder.
 
         Raises
         ------
@@ -52,7 +52,7 @@ class Source(Protocol):
         ...
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A file's bytes from an offset, in blocks of at most a megabyte.
+        """Yield a file's bytes from an offset, in blocks of at most a megabyte.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class DirectorySource:
         return str(self.root)
 
     def bundle_names(self, kind: BundleKind) -> BundleNames:
-        """Ids of the published bundles, and entries that cannot be bundles."""
+        """Return ids of the published bundles, and entries that cannot be bundles."""
         with self._refusing(kind, "be read"), Folder(self.root) as folder:
             try:
                 return bundle_names(folder.entries(kind))
@@ -117,7 +117,7 @@ class DirectorySource:
                 return BundleNames((), ())
 
     def names(self, folder: str) -> list[str]:
-        """Names in a folder of the store, sorted; none when there is no such folder."""
+        """Return names in a folder of the store, sorted; none when there is no such folder."""
         with self._refusing(folder, "be read"), Folder(self.root) as root:
             try:
                 return [entry.name for entry in root.entries(folder)]
@@ -125,7 +125,7 @@ class DirectorySource:
                 return []
 
     def blocks(self, place: str, offset_bytes: int = 0) -> Generator[bytes, None, None]:
-        """A regular file's bytes."""
+        """Yield a regular file's bytes."""
         with ExitStack() as stack:
             with self._refusing(place, "be read", "fetch the bundle again"):
                 folder = stack.enter_context(Folder(self.root))
@@ -184,7 +184,7 @@ class DirectorySource:
 
 
 def _locate_store(path: Path) -> Path:
-    """The one store at or below a path."""
+    """Return the one store at or below a path."""
     try:
         found = _stores(path)
     except OSError as error:
@@ -197,7 +197,7 @@ def _locate_store(path: Path) -> Path:
 
 
 def _stores(path: Path) -> list[Path]:
-    """The path itself when it is a store, else the stores in the usual places and just below it."""
+    """Return the path itself when it is a store, else the stores in the usual places and just below it."""
     if _is_store(path):
         return [path]
     with Folder(path) as folder:

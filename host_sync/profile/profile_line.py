@@ -57,7 +57,7 @@ class Profile:
 
 
 def profile_along(z_um: Float32Array, pitch_um: float, line: Line) -> Profile:
-    """The profile along a line: bilinear, one sample per pixel, NaN where one of the four neighbours is invalid.
+    """Return the profile along a line: bilinear, one sample per pixel, NaN where one of the four neighbours is invalid.
 
     Across the line the valid samples are averaged; the profile is invalid where fewer than half of them are valid.
 
@@ -95,7 +95,7 @@ def profile_along(z_um: Float32Array, pitch_um: float, line: Line) -> Profile:
 def bilinear(
     z_um: Float32Array, places: Float64Array, limit: Float64Array | None = None
 ) -> tuple[Float64Array, MaskArray]:
-    """Heights between pixels, and where they are valid: float64 and bool arrays of shape (...).
+    """Return heights between pixels, and where they are valid: float64 and bool arrays of shape (...).
 
     places : float64 array of shape (..., 2), column and row in pixels
     limit : largest column and row; that of the array by default
@@ -129,7 +129,7 @@ MIN_SPACING: Final = 0.01
 
 
 def profile_parameters(profile: Profile, sections: int = 1, kind: str = "P") -> dict[str, float]:
-    """Parameters by name: heights in µm, RSm in µm, Rdq in µm/µm, Rsk and Rku without unit; NaN where undefined.
+    """Return parameters by name: heights in µm, RSm in µm, Rdq in µm/µm, Rsk and Rku without unit; NaN where undefined.
 
     profile : with zero at its mean line
     sections : number of section lengths
@@ -162,7 +162,8 @@ def profile_parameters(profile: Profile, sections: int = 1, kind: str = "P") -> 
 
 
 def mean_spacing(heights: Float64Array, rz: float, section_samples: float) -> float:
-    """Mean width of the profile elements (a hill and the dale after it), samples; NaN without a complete one.
+    """Return the mean width of the profile elements (a hill and the dale after it), samples; NaN without a complete
+    one.
 
     An element begins where the profile crosses its mean line upwards between a significant dale and a significant hill.
     Elements with an invalid sample are ignored.
@@ -177,7 +178,7 @@ def mean_spacing(heights: Float64Array, rz: float, section_samples: float) -> fl
 
 
 def _crossings(heights: Float64Array, least_height: float, least_width: float) -> Float64Array:
-    """Positions (samples) of upward crossings from a significant dale to a significant hill: float64 array."""
+    """Return positions (samples) of upward crossings from a significant dale to a significant hill: float64 array."""
     sign = 0  # of the last significant hill (1) or dale (-1)
     places: list[float] = []
     rise = float("nan")
@@ -197,14 +198,14 @@ def _crossings(heights: Float64Array, least_height: float, least_width: float) -
 
 
 def _runs(heights: Float64Array) -> list[tuple[int, int]]:
-    """Runs [start, end) on one side of the mean line, without holes."""
+    """Return runs [start, end) on one side of the mean line, without holes."""
     side = np.where(np.isnan(heights), 0, np.where(heights > 0.0, 1, -1))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(side)) + 1, [side.size]])
     return [(int(start), int(end)) for start, end in pairwise(edges) if side[start]]
 
 
 def _zero_before(heights: Float64Array, start: int) -> float:
-    """Position of the zero crossing before a sample."""
+    """Return the position of the zero crossing before a sample."""
     if start == 0 or np.isnan(heights[start - 1]):
         return float(start)
     before, after = heights[start - 1], heights[start]

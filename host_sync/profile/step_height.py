@@ -88,7 +88,8 @@ class StepEdges:
 def step_height_um(
     profile: Profile, edges: StepEdges, ignored: float = IGNORED_SHARE, reach: float = REACH_FLANKS
 ) -> float:
-    """Height of the step from left to right, or of the ridge above its surroundings (negative for a groove), µm.
+    """Return the height of the step from left to right, or of the ridge above its surroundings (negative for a groove),
+    µm.
 
     ignored : fraction of a groove's width that is ignored beside its edges
     reach : how much of the profile a step uses, flanks
@@ -102,8 +103,8 @@ def step_height_um(
 
 
 def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
-    """Standard uncertainty of what is called the height, µm: its spread over how much of the profile is used, and on a
-    line that is too short how much it still changes with the flank that is left out.
+    """Return the standard uncertainty of what is called the height, µm: its spread over how much of the profile is
+    used, and on a line that is too short how much it still changes with the flank that is left out.
 
     NaN where the line ends so far within the flank that the step's levels are not known.
     """
@@ -169,19 +170,19 @@ def require_step(profile: Profile, edges: StepEdges, *, are_found: bool) -> None
 
 
 def _rest(design: Float64Array, z_um: Float64Array) -> float:
-    """Sum of the squares that a least-squares fit leaves, µm²."""
+    """Return the sum of the squares that a least-squares fit leaves, µm²."""
     return float(np.square(z_um - design @ np.linalg.lstsq(design, z_um, rcond=None)[0]).sum())
 
 
 def lines_um(profile: Profile, edges: StepEdges) -> tuple[Float64Array, Float64Array]:
-    """Both fitted lines at every sample, µm: beside the groove and in it, or right and left of the step."""
+    """Return both fitted lines at every sample, µm: beside the groove and in it, or right and left of the step."""
     slope, middle, height = _fitted(profile, edges, IGNORED_SHARE, REACH_FLANKS)
     base = slope * profile.along_um + middle
     return base - 0.5 * height, base + 0.5 * height
 
 
 def used_samples(profile: Profile, edges: StepEdges) -> MaskArray:
-    """Samples that the lines are fitted to: bool array of shape (N,)."""
+    """Return samples that the lines are fitted to: bool array of shape (N,)."""
     return np.asarray((_sides(profile, edges, IGNORED_SHARE, REACH_FLANKS) != 0) & np.isfinite(profile.z_um))
 
 
@@ -195,7 +196,7 @@ def room_share(profile: Profile, edges: StepEdges) -> float:
 
 
 def _fitted(profile: Profile, edges: StepEdges, ignored: float, reach: float) -> tuple[float, float, float]:
-    """Slope, height of the middle at the start, and height between both lines; µm/µm, µm, µm."""
+    """Return the slope, height of the middle at the start, and height between both lines; µm/µm, µm, µm."""
     sides = _sides(profile, edges, ignored, reach)
     valid = np.isfinite(profile.z_um)
     upper, lower = valid & (sides > 0), valid & (sides < 0)
@@ -215,7 +216,7 @@ def _fitted(profile: Profile, edges: StepEdges, ignored: float, reach: float) ->
 
 
 def find_edges(profile: Profile, kind: StepKind) -> StepEdges:
-    """The edges, where the profile crosses half way between its two levels.
+    """Return the edges, where the profile crosses half way between its two levels.
 
     Raises
     ------
@@ -243,7 +244,7 @@ def find_edges(profile: Profile, kind: StepKind) -> StepEdges:
 
 
 def _refined_groove(profile: Profile, rough: StepEdges) -> StepEdges:
-    """Edges where the profile crosses half way between the lines that are fitted beside and in the groove."""
+    """Return edges where the profile crosses half way between the lines that are fitted beside and in the groove."""
     edges = rough
     for _ in range(ROUNDS):
         try:
@@ -262,7 +263,8 @@ def _refined_groove(profile: Profile, rough: StepEdges) -> StepEdges:
 
 
 def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
-    """The edge where the profile crosses half way, and the length of its flank; neither knows the line's length."""
+    """Return the edge where the profile crosses half way, and the length of its flank; neither knows the line's
+    length."""
     length = float(profile.along_um[-1])
     flank = min(0.1 * length, min(edge_um, length - edge_um) / (2.0 * GAP_FLANKS))
     is_cut = False
@@ -324,7 +326,7 @@ def _sides(profile: Profile, edges: StepEdges, ignored: float, reach: float) -> 
 
 
 def _best_edge(along: Float64Array, z_um: Float64Array) -> float:
-    """Position that splits the profile into two levels of equal tilt with the smallest residual."""
+    """Return the position that splits the profile into two levels of equal tilt with the smallest residual."""
     candidates = np.linspace(0.15, 0.85, 141) * (along[-1] - along[0]) + along[0]
     residuals = []
     for edge in candidates:
@@ -335,7 +337,7 @@ def _best_edge(along: Float64Array, z_um: Float64Array) -> float:
 
 
 def _longest_run(inside: MaskArray, kind: StepKind) -> tuple[int, int]:
-    """First and last index of the longest true run."""
+    """Return the first and last index of the longest true run."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     if not edges.size:
         raise MeasurementError(f"the profile shows no {kind}: draw the line across it, or give its edges")

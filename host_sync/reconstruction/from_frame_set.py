@@ -37,7 +37,7 @@ class ScanFailure:
 
 
 def chosen_scans(frame_set: FrameSet, names: Sequence[str]) -> list[ScanSpec]:
-    """The scans of these names, or all when none is named.
+    """Return the scans of these names, or all when none is named.
 
     Raises
     ------

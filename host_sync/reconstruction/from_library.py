@@ -63,7 +63,7 @@ class LibraryReconstructor:
     def run(
         self, scan: ScanBundle, method: Method | None = None, folder: Path | None = None
     ) -> tuple[Reconstruction, Path]:
-        """The reconstruction of a scan and the folder that its results were written to.
+        """Return the reconstruction of a scan and the folder that its results were written to.
 
         method : another than the job's
         folder : another place than the one beside the scan
@@ -102,7 +102,7 @@ class LibraryReconstructor:
         return reconstruction, folder
 
     def calibration_of(self, scan: ScanBundle) -> KeptCalibration:
-        """The calibration of a scan: the one that was named for all, else its own."""
+        """Return the calibration of a scan: the one that was named for all, else its own."""
         if self._calibrator.is_named:
             named = self._calibrator.named()
             facts = named.facts
@@ -124,7 +124,7 @@ class LibraryReconstructor:
 def _exposure_checks(
     scan: ScanBundle, sequence: LightSequence | str, *, uses_single_lights: bool
 ) -> tuple[FrameCheck, ...]:
-    """What was done with the frames of a precise capture."""
+    """Return what was done with the frames of a precise capture."""
     checks = []
     share = scan.record.verdict.figures.get("ambient_share")
     if scan.record.exposures.dark_file is not None and share is not None:

@@ -25,7 +25,8 @@ be seen edge on, and no height map holds what lies behind."""
 def seen_slopes(
     gradients: GradientField, viewpoint: Viewpoint, height: HeightMap | None = None, out: GradientField | None = None
 ) -> GradientField:
-    """How steeply heights rise over pixels, of skin with these slopes; without heights less the factor of elevation.
+    """Return how steeply heights rise over pixels, of skin with these slopes; without heights less the factor of
+    elevation.
 
     height : over untouched skin, arrays of shape (H, W); where it is not known skin counts as untouched
     out : receives p and q; may be `gradients`
@@ -39,7 +40,7 @@ def seen_slopes(
 
 
 def seen_elevation(height: HeightMap, viewpoint: Viewpoint, out: Float32Array | None = None) -> HeightMap:
-    """Heights over untouched skin, from those that slopes without the factor of elevation add up to.
+    """Return heights over untouched skin, from those that slopes without the factor of elevation add up to.
 
     out : receives the heights; may be those given
     """

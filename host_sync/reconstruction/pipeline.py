@@ -86,7 +86,7 @@ def reconstruct(
     sequence: LightSequence | None = None,
     keep_noise: bool = False,
 ) -> Reconstruction:
-    """The surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
+    """Return the surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
 
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
     detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
@@ -110,9 +110,9 @@ def reconstruct(
     heights = Heights.of(resting, sharpened(integrated, noise), reading)
     raise_on_warnings([*reading.warnings, *heights.unlit], name, force=force)
     slopes = surface_slopes(heights.height)
-    contradiction = nonintegrable_residual(heights.gradients, *slopes)
+    nonintegrable = nonintegrable_residual(heights.gradients, *slopes)
     uncertainty = BackgroundCall(
-        uncertainty_of, heights.height, heights.gradients, contradiction, reading, heights.datum, before_heights
+        uncertainty_of, heights.height, heights.gradients, nonintegrable, reading, heights.datum, before_heights
     )
     uncertainty.start()
     surface = _Surface.of(heights, slopes, resting, reading, noise, detail)
@@ -120,7 +120,7 @@ def reconstruct(
     strange = extrapolated(intensity, inverse_map, surface.p, surface.q, reading.first.meanwhile.result().strange)
     unsure = before_heights.result().unsure.with_unresolved(*slopes)
     kept, error = noise.shrunk_kept if noise else NOISE_KEPT, slope_error_of(calibration, reading.method)
-    sigma = slope_sigma(heights.gradients, *slopes, contradiction, error, unsure, kept)
+    sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, unsure, kept)
     known = uncertainty.result()
     return Reconstruction(
         method=reading.method,

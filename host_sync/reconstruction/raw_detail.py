@@ -23,7 +23,7 @@ CELL_PX: Final = 4
 
 
 def with_raw_detail(shrunk: HeightMap, raw: HeightMap) -> HeightMap:
-    """The shrunk surface's long waves with the raw surface's detail; NaN where either has no height."""
+    """Return the shrunk surface's long waves with the raw surface's detail; NaN where either has no height."""
     rows, columns = shrunk.z_um.shape
     difference, known = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     parallel_rows(_write_difference, shrunk.z_um.shape, shrunk.z_um, raw.z_um, difference, known)
@@ -38,7 +38,7 @@ def with_raw_detail(shrunk: HeightMap, raw: HeightMap) -> HeightMap:
 
 
 def raw_slope_sigma(sigma: Float32Array, p: Float32Array, q: Float32Array, noise: SlopeNoise | None) -> Float32Array:
-    """Standard uncertainty of the slopes of raw detail: float32 array of shape (H, W), NaN where invalid.
+    """Return the standard uncertainty of the slopes of raw detail: float32 array of shape (H, W), NaN where invalid.
 
     sigma : the same of the shrunk surface, whose slopes are p and q
     """

@@ -48,7 +48,7 @@ class BeforeHeights:
 def uncertainty_of(
     height: HeightMap,
     gradients: GradientField,
-    contradiction: Float32Array,
+    nonintegrable: Float32Array,
     reading: SlopeReading,
     datum: Datum,
     before_heights: BackgroundCall[BeforeHeights],
@@ -57,14 +57,14 @@ def uncertainty_of(
 
     height : with shrunk detail, levelled to the datum
     gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
-    contradiction : as `nonintegrable_residual` returns it for them
+    nonintegrable : as `nonintegrable_residual` returns it for them
     before_heights : of the same reading
     """
     before, calibration = before_heights.result(), reading.first.calibration
     return height_uncertainty(
         height,
         gradients,
-        contradiction,
+        nonintegrable,
         slope_error_of(calibration, reading.method),
         datum,
         known_scale_share(calibration),
@@ -89,7 +89,7 @@ def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> Ca
 
 
 def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
-    """The slope error of a method: the default's as measured, the paper's larger as its held-out balls say."""
+    """Return the slope error of a method: the default's as measured, the paper's larger as its held-out balls say."""
     held_out = calibration.held_out_deg
     if method == "direct" or not held_out["paper"] > held_out["direct"]:
         return calibration.slope_error
@@ -104,6 +104,6 @@ def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
 
 
 def known_scale_share(calibration: Calibration) -> float:
-    """Standard uncertainty of the height's scale, as a share, from what of it was measured."""
+    """Return the standard uncertainty of the height's scale, as a share, from what of it was measured."""
     scale = calibration.assessment.scale
     return float(np.hypot(HEIGHT_PER_PITCH * (scale.pixel_pitch_share or 0.0), scale.ball_radius_share or 0.0))

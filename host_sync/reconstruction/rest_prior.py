@@ -92,7 +92,7 @@ class RestPrior:
 
 
 def _cell_means(slope: Float32Array, valid: MaskArray, size: tuple[int, ...]) -> Float32Array:
-    """Mean slopes of cells, shape `size`, where invalid pixels count as level."""
+    """Return the mean slopes of cells, shape `size`, where invalid pixels count as level."""
     known = slope if valid.all() else np.where(valid, slope, np.float32(0.0))
     return np.asarray(cv2.resize(known, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
 
@@ -102,7 +102,7 @@ def _enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
 
 
 def _rows_of(cells: Float32Array, shape: tuple[int, ...], first: int, last: int) -> Float32Array:
-    """Rows `first` to `last` - 1 of cells enlarged to `shape`, bilinear between the middles of cells."""
+    """Return rows `first` to `last` - 1 of cells enlarged to `shape`, bilinear between the middles of cells."""
     middle = (np.arange(first, last) + 0.5) * (cells.shape[0] / shape[0]) - 0.5
     middle = np.clip(middle, 0.0, cells.shape[0] - 1.0)
     upper = np.minimum(middle.astype(np.intp), max(cells.shape[0] - 2, 0))

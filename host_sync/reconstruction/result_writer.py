@@ -94,7 +94,7 @@ def write_result(
 
 
 def relief_words(reconstruction: Reconstruction) -> str:
-    """What is zero in a relief, or that nothing is, and which pixels are hatched."""
+    """Return what is zero in a relief, or that nothing is, and which pixels are hatched."""
     datum = reconstruction.datum
     relative = "no zero: heights are relative"
     zero = relative if datum.is_relative else f"0 is untouched skin ± {datum.zero_sigma_um:.2g} µm"
@@ -133,7 +133,7 @@ def write_samples(path: Path, reconstruction: Reconstruction, pitch_um: float) -
 
 
 def result_record(name: str, reconstruction: Reconstruction, calibration: Calibration) -> ResultRecord:
-    """The record of a result."""
+    """Return the record of a result."""
     z_um, datum = reconstruction.height.z_um, reconstruction.datum
     finite = bool(np.isfinite(z_um).any())
     rows, columns = z_um.shape
@@ -181,7 +181,7 @@ def _pupil_height_mm(calibration: Calibration) -> float | None:
 
 
 def calibration_facts(calibration: Calibration) -> dict[str, Any]:
-    """What a record states of its calibration's checks and coverage."""
+    """Return what a record states of its calibration's checks and coverage."""
     assessment = calibration.assessment
     failed = [check for check in assessment.checks if not check.passed]
     return {
@@ -193,7 +193,7 @@ def calibration_facts(calibration: Calibration) -> dict[str, Any]:
 
 
 def _median(values: Float32Array) -> float | None:
-    """Median of the known values, of every few pixels where there are many; None where there are none."""
+    """Return the median of the known values, of every few pixels where there are many; None where there are none."""
     step = max(1, int(np.sqrt(values.size / MAX_SAMPLES)))
     sample = values[::step, ::step]
     known = sample[np.isfinite(sample)]

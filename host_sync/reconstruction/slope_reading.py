@@ -29,7 +29,7 @@ from host_sync.results.record import FrameCheck, refusals
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Meanwhile:
-    """What is found of a frame while its correction is looked for, and does not depend on it.
+    """Results on a frame that do not depend on its correction, and are computed beside it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
     strange : as `strange_blocks` returns it; None of other lights than the first three, which tell it for all
@@ -57,7 +57,7 @@ class Meanwhile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelReading:
-    """What three channels of a frame say.
+    """Slopes from three channels of a frame.
 
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
     gradients : slopes of `intensity`, corrected
@@ -79,7 +79,7 @@ class ChannelReading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeReading:
-    """What all lights of a frame say.
+    """Slopes from all lights of a frame.
 
     groups : by group of lights; one where there are three lights
     left_out : for each group, where one of its lights is hidden or mirrored
@@ -109,11 +109,11 @@ class SlopeReading:
 
     @property
     def has_rest(self) -> bool:
-        """Whether some skin may be untouched; False where the light says that none is."""
+        """True if some skin may be untouched; False where the light shows that none is."""
         return all(group.correction is None or group.correction.has_rest for group in self.groups)
 
     def raw_gradients(self) -> GradientField:
-        """Slopes of all groups together with the frame's noise in them, less what null colours know of it.
+        """Return slopes of all groups together with the frame's noise in them, less what null colours know of it.
 
         To be asked for once: corrections are added in place. Where nothing was shrunk they are `gradients`.
         """
@@ -138,7 +138,7 @@ def read_slopes(
     force: bool,
     sequence: LightSequence | None = None,
 ) -> SlopeReading:
-    """Slopes of a frame with as many lights as its calibration; errors as for `reconstruct`.
+    """Return slopes of a frame with as many lights as its calibration; errors as for `reconstruct`.
 
     sequence : of the same press with three lights
     """
@@ -172,7 +172,7 @@ def _read_channels(
     sequence: LightSequence | None = None,
     is_first: bool = True,
 ) -> tuple[ChannelReading, list[str]]:
-    """What three channels say, the first ones or others, and what speaks against them."""
+    """Return what three channels say, the first ones or others, and what speaks against them."""
     if isinstance(frame, RawFrame):
         intensity = raw_intensity(frame, calibration.flat_field)
     else:

@@ -66,7 +66,7 @@ def difference(
     near: Pose | None = None,
     pinned: bool = False,
 ) -> Difference:
-    """The second height map minus the first, after registration and levelling; arguments as for `register`.
+    """Return the second height map minus the first, after registration and levelling; arguments as for `register`.
 
     sigmas_um : standard uncertainty of each, of its height map's shape, if known
 
@@ -110,7 +110,7 @@ def difference(
 
 
 def _level(rest: Float32Array, known: MaskArray) -> Float64Array:
-    """Height and tilts (µm, µm/px) that most of the difference has: least squares with Tukey weights."""
+    """Return the height and tilts (µm, µm/px) that most of the difference has: least squares with Tukey weights."""
     row, column = (part[known] for part in centred(rest.shape, rest.shape, 1))
     step = max(1, row.size // MAX_EQUATIONS)
     design = np.stack([np.ones(row[::step].size), row[::step], column[::step]], axis=-1).astype(np.float64)
@@ -133,7 +133,8 @@ def _both(
     pose: Pose,
     known: MaskArray,
 ) -> Float32Array | None:
-    """Combined uncertainty of both as independent, on the grid of the first; NaN where the difference is invalid."""
+    """Return the combined uncertainty of both as independent, on the grid of the first; NaN where the difference is
+    invalid."""
     first, second = sigmas_um
     if first is None or second is None:
         return None

@@ -54,7 +54,7 @@ class Pair:
 
     @classmethod
     def of(cls, first: Float32Array, second: Float32Array, max_px: int) -> Pair:
-        """The pair with at most so many rows and columns of the first, smoothed by little."""
+        """Return the pair with at most so many rows and columns of the first, smoothed by little."""
         step = max(1, int(np.ceil(max(first.shape) / max_px)))
         small = (cv2.GaussianBlur(reduced(z_um, step), (0, 0), SMOOTHED_PX) for z_um in (first, second))
         one, other = (np.asarray(z_um, np.float32) for z_um in small)
@@ -62,7 +62,7 @@ class Pair:
 
 
 def middle_px(pair: Pair) -> tuple[float, float]:
-    """Centroid of the first map's squared slopes: row and column from the middle of the map, px."""
+    """Return the centroid of the first map's squared slopes: row and column from the middle of the map, px."""
     q, p = np.gradient(pair.first)
     energy = np.nan_to_num(p * p + q * q).astype(np.float64)
     row, column = centred(energy.shape, tuple(size * pair.step for size in energy.shape), pair.step)
@@ -100,7 +100,7 @@ class Fit:
 
 
 def coherence(pair: Pair, pose: Pose) -> float:
-    """Smallest correlation, over directions, of how both maps' slopes change along a direction.
+    """Return the smallest correlation, over directions, of how both maps' slopes change along a direction.
 
     What determines a shift is how slopes change along it. Where only noise changes, each map has changes of its own.
     """
@@ -124,7 +124,7 @@ def coherence(pair: Pair, pose: Pose) -> float:
 
 
 def fit(pair: Pair, start: Pose, *, turning: bool = True) -> Fit | None:
-    """The fit that a start leads to; None when the maps hardly overlap there."""
+    """Return the fit that a start leads to; None when the maps hardly overlap there."""
     pose = start
     for number in range(ROUNDS):
         equations = _Equations.of(pair, pose, turning=turning, robust=number >= PLAIN_ROUNDS)
@@ -200,7 +200,7 @@ class _Equations:
         return cls(designs, rest, weight, off, slopes, known)
 
     def total(self) -> tuple[Float64Array, Float64Array]:
-        """Normal matrix and right side of all pixels."""
+        """Return the normal matrix and right side of all pixels."""
         return self._normal(slice(None))
 
     def _normal(self, here: slice | NDArray[np.intp]) -> tuple[Float64Array, Float64Array]:
@@ -214,13 +214,13 @@ class _Equations:
 
     @staticmethod
     def solved(normal: Float64Array, right: Float64Array) -> Float64Array:
-        """All parameters; undetermined directions stay 0."""
+        """Return all parameters; undetermined directions stay 0."""
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
         scaled = normal / np.outer(scale, scale)
         return np.asarray(np.linalg.lstsq(scaled, right / scale, rcond=UNDETERMINED)[0] / scale, np.float64)
 
     def fit(self, pose: Pose) -> Fit:
-        """The fit at a pose that these equations do not change any more."""
+        """Return the fit at a pose that these equations do not change any more."""
         rows, columns = np.nonzero(self.common)
         height, width = self.common.shape
         tile = (rows * TILES // height) * TILES + columns * TILES // width
@@ -239,13 +239,13 @@ class _Equations:
 
 
 def _gradient(values: Float32Array, step: float) -> tuple[Float32Array, Float32Array]:
-    """Changes per pixel along rows and along columns: float32 arrays of shape (h, w)."""
+    """Return changes per pixel along rows and along columns: float32 arrays of shape (h, w)."""
     down, across = np.gradient(values, step)
     return np.asarray(down, np.float32), np.asarray(across, np.float32)
 
 
 def _jackknife(normal: Float64Array, right: Float64Array) -> Float64Array:
-    """Covariance of (down, right, turn) from leaving out each tile; infinite where no shift is determined.
+    """Return the covariance of (down, right, turn) from leaving out each tile; infinite where no shift is determined.
 
     normal, right : float64 arrays of shape (tiles, n, n) and (tiles, n)
     """

@@ -28,12 +28,13 @@ class Pose:
     turn: float = 0.0
 
     def distance_px(self, other: Pose, shape: tuple[int, ...]) -> float:
-        """Largest distance between where both poses put a corner of a map of `shape` (H, W), px, to first order."""
+        """Return the largest distance between where both poses put a corner of a map of `shape` (H, W), px, to first
+        order."""
         reach = 0.5 * float(np.hypot(shape[0], shape[1]))
         return float(np.hypot(self.down - other.down, self.right - other.right) + reach * abs(self.turn - other.turn))
 
     def distance_at(self, other: Pose, place: tuple[float, float]) -> float:
-        """Distance between where both poses put a place (row, column from the middle of the map), px."""
+        """Return the distance between where both poses put a place (row, column from the middle of the map), px."""
         ends = self.place_of(place), other.place_of(place)
         return float(np.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]))
 
@@ -43,13 +44,13 @@ class Pose:
         return self.down + cosine * place[0] + sine * place[1], self.right - sine * place[0] + cosine * place[1]
 
     def moved_by(self, change: Float64Array) -> Pose:
-        """The pose plus (down, right, turn)."""
+        """Return the pose plus (down, right, turn)."""
         down, right, turn = (float(value) for value in change)
         return Pose(self.down + down, self.right + right, self.turn + turn)
 
 
 def at_pitch(height: HeightMap, pitch_um: float) -> Float32Array:
-    """The height map resampled to another pitch.
+    """Return the height map resampled to another pitch.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def at_pitch(height: HeightMap, pitch_um: float) -> Float32Array:
 
 
 def moved(small: Float32Array, pose: Pose, shape: tuple[int, ...], step: int) -> Float32Array:
-    """The second map at the pixels of the first; NaN outside it and beside its holes.
+    """Return the second map at the pixels of the first; NaN outside it and beside its holes.
 
     small : the second map, reduced by `step`
     shape : of the first map, reduced by `step`
@@ -81,7 +82,8 @@ def moved(small: Float32Array, pose: Pose, shape: tuple[int, ...], step: int) ->
 
 
 def centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[Float32Array, Float32Array]:
-    """Rows and columns of the cell centres relative to the map's centre, px of the full map: arrays of shape (h, w)."""
+    """Return rows and columns of the cell centres relative to the map's centre, px of the full map: arrays of shape (h,
+    w)."""
     places = [
         ((np.arange(count) + 0.5) * step - 0.5 - 0.5 * (whole - 1)).astype(np.float32)
         for count, whole in zip(shape[:2], full[:2], strict=True)
@@ -91,7 +93,7 @@ def centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[F
 
 
 def reduced(z_um: Float32Array, step: int) -> Float32Array:
-    """Means over squares of `step` pixels; rows and columns beyond the last whole square are dropped."""
+    """Return means over squares of `step` pixels; rows and columns beyond the last whole square are dropped."""
     if step == 1:
         return z_um
     rows, columns = (size // step for size in z_um.shape)
@@ -100,7 +102,7 @@ def reduced(z_um: Float32Array, step: int) -> Float32Array:
 
 
 def between_pixels(z_um: Float32Array, row: Float32Array, column: Float32Array) -> Float32Array:
-    """Heights at places (px) by cubic convolution: float32 array of the places' shape.
+    """Return heights at places (px) by cubic convolution: float32 array of the places' shape.
 
     NaN where one of the 4 × 4 neighbours is invalid or outside. OpenCV's remap resolves places to 1/32 pixel only.
     """
@@ -111,7 +113,7 @@ def between_pixels(z_um: Float32Array, row: Float32Array, column: Float32Array) 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _weights(t: Any) -> Any:
-    """Weights of the pixels at -1, 0, 1 and 2 for a place at fraction `t` of a pixel."""
+    """Return weights of the pixels at -1, 0, 1 and 2 for a place at fraction `t` of a pixel."""
     t2, t3 = t * t, t * t * t
     return (
         np.float32(0.5 * (-t3 + 2.0 * t2 - t)),

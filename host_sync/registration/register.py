@@ -102,7 +102,7 @@ def register(
     near: Pose | None = None,
     pinned: bool = False,
 ) -> Registration:
-    """The registration of two height maps.
+    """Return the registration of two height maps.
 
     frames : grey frames of both on one gel, float32 arrays of shape (H, W), as one more source of starts
     near : the only start: a person saw that the answer is near to it
@@ -145,7 +145,7 @@ def register(
 
 
 def _from_person(pair: Pair, near: Pose, *, pinned: bool) -> Registration:
-    """The registration near to a pose that a person gave, or that pose itself."""
+    """Return the registration near to a pose that a person gave, or that pose itself."""
     found = judged_at(pair, near) if pinned else fit(pair, near)
     if found is None:
         raise ViewError(NOTHING_IN_COMMON)
@@ -177,7 +177,7 @@ def _judged(found: Fit, by: str, refused: str = "") -> Registration:
 
 
 def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[tuple[Fit, str]]:
-    """The different fits that the starts lead to, best first."""
+    """Return the different fits that the starts lead to, best first."""
     rough: list[tuple[Fit, str]] = []
     for start in _different(given, coarse):
         found = fit(coarse, start.pose)
@@ -198,7 +198,7 @@ def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[tuple[Fit, st
 
 
 def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> tuple[Fit | None, str]:
-    """The best fit without a turn, and what found it; None where no start leads to one."""
+    """Return the best fit without a turn, and what found it; None where no start leads to one."""
     rough = [
         (found, one.by)
         for one in given
@@ -211,7 +211,7 @@ def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> tuple[Fit | None,
 
 
 def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
-    """Poses around one: turned about the middle of the object, and shifted."""
+    """Yield poses around one: turned about the middle of the object, and shifted."""
     place = middle_px(coarse)
     for turn_deg in HOPS_DEG:
         turned = Pose(pose.down, pose.right, pose.turn + float(np.radians(turn_deg)))
@@ -223,7 +223,7 @@ def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
 
 
 def _different(given: list[Start], coarse: Pair) -> list[Start]:
-    """The starts without those that are close to one before them."""
+    """Return the starts without those that are close to one before them."""
     kept: list[Start] = []
     shape = tuple(size * coarse.step for size in coarse.first.shape)
     for start in given:
@@ -242,7 +242,7 @@ def _add(answers: list[tuple[Fit, str]], new: Fit, by: str, coarse: Pair) -> Non
 
 
 def _rivalry(best: Fit, others: list[Fit]) -> str:
-    """Why another answer is as good as the best; empty where none is."""
+    """Return why another answer is as good as the best; empty where none is."""
     for one in others:
         unlike = 1.0 - one.agreement > RIVAL_UNLIKE * max(1.0 - best.agreement, UNLIKE_FLOOR)
         if unlike or one.energy < RIVAL_ENERGY * best.energy:

@@ -46,7 +46,7 @@ class Start:
 
 
 def starts(first: Float32Array, second: Float32Array) -> list[Start]:
-    """Starts from relief and rim, best first within each."""
+    """Return starts from relief and rim, best first within each."""
     step = max(1, int(np.ceil(max(*first.shape, *second.shape) / COARSE_PX)))
     small = [reduced(z_um, step) for z_um in (first, second)]
     found = [Start(Pose(), "as they lie", 0.0)]
@@ -58,7 +58,8 @@ def starts(first: Float32Array, second: Float32Array) -> list[Start]:
 
 
 def texture_starts(frames: tuple[Float32Array, Float32Array]) -> list[Start]:
-    """Starts from the texture of two frames of one gel, grey arrays of shape (H, W) of one size, without rotation."""
+    """Return starts from the texture of two frames of one gel, grey arrays of shape (H, W) of one size, without
+    rotation."""
     step = max(1, int(np.ceil(max(frames[0].shape) / TEXTURE_PX)))
     fields = []
     for frame in frames:
@@ -96,7 +97,8 @@ def _over_turns(first: Float32Array, second: Float32Array, step: int, by: str) -
 
 
 def _agreement(one: Complex, other: Complex) -> Float64Array:
-    """Correlation of the slopes over their overlap for each whole shift: array of the padded shape, -1 without one."""
+    """Return the correlation of the slopes over their overlap for each whole shift: array of the padded shape, -1
+    without one."""
     shape = _padded(one.shape, other.shape)
     squares = [np.abs(field) ** 2 for field in (one, other)]
     inside = [np.ones(field.shape) for field in (one, other)]
@@ -113,7 +115,7 @@ def _agreement(one: Complex, other: Complex) -> Float64Array:
 
 
 def _peaks(field: Float64Array, count: int) -> Iterator[tuple[int, int, float]]:
-    """Shift (rows, columns) and value of the highest places of a periodic field, `APART_PX` apart."""
+    """Yield the shift (rows, columns) and value of the highest places of a periodic field, `APART_PX` apart."""
     left = field.copy()
     rows, columns = field.shape
     for _ in range(count):

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 
 def figure_png(figure: Figure, dpi: float) -> bytes:
-    """Contents of a PNG without transparency; draws the figure at so many dots per inch."""
+    """Return contents of a PNG without transparency; draws the figure at so many dots per inch."""
     _, data = cv2.imencode(".png", figure_pixels(figure, dpi)[..., ::-1])
     return data.tobytes()
 
 
 def figure_pixels(figure: Figure, dpi: float) -> NDArray[np.uint8]:
-    """A figure drawn at so many dots per inch: uint8 array of shape (H, W, 3), on its own opaque background."""
+    """Return a figure drawn at so many dots per inch: uint8 array of shape (H, W, 3), on its own opaque background."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figure.set_dpi(dpi)
@@ -67,7 +67,7 @@ SHOWN_SLOPE: Final = 0.25
 
 
 def exaggeration(height: HeightMap) -> float:
-    """Factor on the heights that gives good contrast; at least 1. Detail is often only micrometres high."""
+    """Return the factor on the heights that gives good contrast; at least 1. Detail is often only micrometres high."""
     p, q = surface_slopes(height)
     square = p**2 + q**2
     if not np.isfinite(square).any():

@@ -59,7 +59,7 @@ def make_folder(folder: Path) -> None:
 
 
 def file_stems(titles: Sequence[str]) -> list[str]:
-    """A file name without suffix for each title: letters, digits, . _ and - only, all different."""
+    """Return a file name without suffix for each title: letters, digits, . _ and - only, all different."""
     stems: list[str] = []
     for title in titles:
         stem = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.")[:MAX_STEM] or "relief"
@@ -229,7 +229,7 @@ class ReliefGif:
         first.save(path, save_all=True, append_images=others, duration=self._duration_ms, loop=0, optimize=False)
 
     def _palette(self) -> Image.Image:
-        """A palette for all frames, made from some of them."""
+        """Return a palette for all frames, made from some of them."""
         some = self._frames[:: max(1, len(self._frames) // _PALETTE_FRAMES)]
         rows = np.concatenate([np.asarray(frame)[::2, ::2] for frame in some])
         return Image.fromarray(rows).quantize(256)

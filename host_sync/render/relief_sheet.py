@@ -64,7 +64,7 @@ class ReliefSheet:
         return self._blank.shape[0], self._blank.shape[1]
 
     def draw(self, height: HeightMap, caption: str = "", hatched: MaskArray | None = None) -> Picture:
-        """The sheet with this relief: uint8 array of shape (H, W, 3), R, G, B.
+        """Return the sheet with this relief: uint8 array of shape (H, W, 3), R, G, B.
 
         caption : a short text at the right end of the title line
         hatched : bool array of shape (H, W), pixels under slanting lines
@@ -79,7 +79,7 @@ class ReliefSheet:
         return self._lettered(sheet, caption) if caption else sheet
 
     def _enlarged(self, plane: NDArray[Any]) -> NDArray[Any]:
-        """A copy with each pixel as often as the sheet shows it."""
+        """Return a copy with each pixel as often as the sheet shows it."""
         return plane.repeat(self._enlargement, axis=0).repeat(self._enlargement, axis=1)
 
     def _lines(self, shift: int) -> MaskArray:
@@ -97,7 +97,7 @@ class ReliefSheet:
         return sheet
 
     def _draw_sheet(self, pitch_um: float, title: str) -> Picture:
-        """The sheet without a relief."""
+        """Return the sheet without a relief."""
         most = max(2, self._rows // (2 * self._letter))
         labels = [(value, f"{value:g}") for value in ticks(*self._range_um, most)]
         bar = self._letter
@@ -143,7 +143,7 @@ class ReliefSheet:
 
 
 def shortened(text: str, font: ImageFont.FreeTypeFont, room_px: float) -> str:
-    """The printable characters of a text, cut with an ellipsis to a width in pixels."""
+    """Return the printable characters of a text, cut with an ellipsis to a width in pixels."""
     text = "".join(letter for letter in text if letter.isprintable())
     if font.getlength(text) <= room_px:
         return text
@@ -191,7 +191,7 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def round_below(value: float) -> float:
-    """The largest number 1, 2 or 5 times a power of ten that does not exceed a positive value."""
+    """Return the largest number 1, 2 or 5 times a power of ten that does not exceed a positive value."""
     decade = 10.0 ** np.floor(np.log10(value))
     return float(max(step * decade for step in _STEPS if step * decade <= value * (1.0 + 1e-9)))
 
@@ -208,7 +208,7 @@ def ticks(low: float, high: float, most: int = 10) -> list[float]:
 
 
 def font_file() -> str:
-    """A font with µ, × and °, from matplotlib's data, without loading matplotlib itself.
+    """Return a font with µ, × and °, from matplotlib's data, without loading matplotlib itself.
 
     Raises
     ------
@@ -229,7 +229,7 @@ _LABEL_COLUMNS: Final = 70
 
 
 def colour_strip(columns: int, range_um: tuple[float, float]) -> Picture:
-    """The strip: uint8 array of shape (STRIP_ROWS, columns, 3).
+    """Return the strip: uint8 array of shape (STRIP_ROWS, columns, 3).
 
     range_um : heights of the first and last colour, µm
     """
@@ -250,7 +250,7 @@ def colour_strip(columns: int, range_um: tuple[float, float]) -> Picture:
 
 
 def with_strip(picture: Picture, range_um: tuple[float, float]) -> Picture:
-    """A picture of shape (H, W, 3) above its colour bar."""
+    """Return a picture of shape (H, W, 3) above its colour bar."""
     return np.concatenate([picture, colour_strip(picture.shape[1], range_um)])
 
 
@@ -262,7 +262,7 @@ _CELL_LETTER: Final = 17
 def contact_sheet(
     pictures: Iterable[tuple[str, str, Picture]], across: int, range_um: tuple[float, float] | None = None
 ) -> Picture:
-    """Picture of shape (H, W, 3) with `across` reliefs per row, each with its name and a line of facts.
+    """Return the picture of shape (H, W, 3) with `across` reliefs per row, each with its name and a line of facts.
 
     pictures : name, facts and picture of each, at most `CELL_PX` wide and high
     range_um : heights of the first and last colour of all, µm, for a colour bar below; None draws none

@@ -29,7 +29,8 @@ def shade(
     elevation_deg: float = LIGHT_ELEVATION_DEG,
     exaggeration: float = 1.0,
 ) -> Float32Array:
-    """Brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside invalid pixels.
+    """Return the brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside invalid
+    pixels.
 
     azimuth_deg : azimuth of the light, counter-clockwise from the right edge of the picture; 135 is the upper left
     elevation_deg : elevation of the light above the plane
@@ -45,7 +46,7 @@ def shade(
 
 
 def flat_brightness(elevation_deg: float = LIGHT_ELEVATION_DEG) -> float:
-    """Brightness of a flat surface."""
+    """Return the brightness of a flat surface."""
     return float(AMBIENT + (1.0 - AMBIENT) * np.sin(np.radians(elevation_deg)))
 
 
@@ -60,12 +61,13 @@ def steep_slope(height: HeightMap, samples: int = 250) -> float:
 
 
 def exaggeration_for(steep: float) -> float:
-    """Factor on slopes for good contrast: an integer, 1 for slopes as steep as a ball's."""
+    """Return the factor on slopes for good contrast: an integer, 1 for slopes as steep as a ball's."""
     return float(np.clip(np.round(PLEASANT_SLOPE / max(steep, 1e-6)), 1.0, MAX_EXAGGERATION))
 
 
 def reduced(height: HeightMap, widest_px: int) -> HeightMap:
-    """The height map averaged down to at most `widest_px` columns; a pixel with an invalid part becomes invalid."""
+    """Return the height map averaged down to at most `widest_px` columns; a pixel with an invalid part becomes
+    invalid."""
     columns = height.z_um.shape[1]
     factor = int(np.ceil(columns / widest_px))
     if factor <= 1:
@@ -98,7 +100,7 @@ INVALID: Final = 255
 
 
 def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: float = 1.0) -> Picture:
-    """Picture of shape (H, W, 3): colour by height, shaded; white where a pixel or a neighbour is invalid.
+    """Return the picture of shape (H, W, 3): colour by height, shaded; white where a pixel or a neighbour is invalid.
 
     low_um, high_um : heights of the first and last colour, µm
     exaggeration : factor on the slopes for shading
@@ -107,7 +109,8 @@ def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: f
 
 
 def tinted(height: HeightMap, brightness: Float32Array, flat: float, low_um: float, high_um: float) -> Picture:
-    """Picture of shape (H, W, 3): colour by height, darker or lighter than on a flat surface by its brightness.
+    """Return the picture of shape (H, W, 3): colour by height, darker or lighter than on a flat surface by its
+    brightness.
 
     brightness : float32 array of shape (H, W), 0 to 1; NaN becomes white
     flat : brightness of a flat surface under the same light
@@ -160,7 +163,7 @@ SHADOW_SOFTNESS: Final = 0.06
 
 
 def ambient_occlusion(height: HeightMap, exaggeration: float) -> Float32Array:
-    """Fraction of a diffuse sky that each pixel sees: float32 array of shape (H, W), NaN where invalid."""
+    """Return the fraction of a diffuse sky that each pixel sees: float32 array of shape (H, W), NaN where invalid."""
     total = np.zeros(height.z_um.shape, np.float32)
     for turn in np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS):
         tangent = _horizon(height, exaggeration, float(turn), REACH_SHARE)
@@ -169,14 +172,14 @@ def ambient_occlusion(height: HeightMap, exaggeration: float) -> Float32Array:
 
 
 def shadow_mask(height: HeightMap, exaggeration: float, azimuth_deg: float, elevation_deg: float) -> Float32Array:
-    """Fraction of the light that reaches each pixel: float32 array of shape (H, W), 0 to 1."""
+    """Return the fraction of the light that reaches each pixel: float32 array of shape (H, W), 0 to 1."""
     tangent = _horizon(height, exaggeration, float(np.radians(azimuth_deg)), 1.0)
     free = (np.float32(np.tan(np.radians(elevation_deg))) - tangent) / np.float32(SHADOW_SOFTNESS)
     return np.asarray(np.clip(free + 0.5, 0.0, 1.0), np.float32)
 
 
 def _horizon(height: HeightMap, exaggeration: float, turn: float, reach_share: float) -> Float32Array:
-    """Tangent of the horizon's elevation in a direction, counter-clockwise from the right."""
+    """Return the tangent of the horizon's elevation in a direction, counter-clockwise from the right."""
     rows, columns = height.z_um.shape
     z = np.ascontiguousarray(height.z_um) * np.float32(exaggeration / height.pitch_um)
     steps = [1.0]

@@ -74,7 +74,7 @@ class Still:
 
 
 def render(height: HeightMap, still: Still) -> Picture:
-    """Picture of shape (rows, columns, 3), white where nothing is visible.
+    """Return the picture of shape (rows, columns, 3), white where nothing is visible.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def render(height: HeightMap, still: Still) -> Picture:
 
 
 def resize_to_width(height: HeightMap, columns: int) -> HeightMap:
-    """The height map averaged to the picture's width; invalid pixels do not spread.
+    """Return the height map averaged to the picture's width; invalid pixels do not spread.
 
     Raises
     ------
@@ -116,12 +116,12 @@ def resize_to_width(height: HeightMap, columns: int) -> HeightMap:
 
 
 def auto_exaggeration(height: HeightMap, still: Still) -> float:
-    """The factor on heights of a picture."""
+    """Return the factor on heights of a picture."""
     return still.exaggeration or exaggeration_for(steep_slope(height))
 
 
 def surface_colours(height: HeightMap, still: Still) -> Picture:
-    """Colour of every pixel under the picture's light: uint8 array of shape (H, W, 3)."""
+    """Return the colour of every pixel under the picture's light: uint8 array of shape (H, W, 3)."""
     factor = auto_exaggeration(height, still)
     brightness = shade(height, still.light_azimuth_deg, still.light_elevation_deg, factor)
     brightness = _occluded(height, still, factor, brightness)
@@ -133,7 +133,7 @@ def surface_colours(height: HeightMap, still: Still) -> Picture:
 
 
 def _occluded(height: HeightMap, still: Still, factor: float, brightness: Float32Array) -> Float32Array:
-    """The brightness with shadows and occlusion."""
+    """Return the brightness with shadows and occlusion."""
     if still.shadow:
         share = shadow_mask(height, factor, still.light_azimuth_deg, still.light_elevation_deg)
         brightness = np.float32(AMBIENT) + (brightness - np.float32(AMBIENT)) * share
@@ -178,7 +178,7 @@ class Projected:
 def project(
     height: HeightMap, viewpoint: Viewpoint, exaggeration: float, columns: int, shape: tuple[int, int] | None = None
 ) -> Projected:
-    """The points of a height map on a picture `columns` wide that fits it; NaN where invalid.
+    """Return the points of a height map on a picture `columns` wide that fits it; NaN where invalid.
 
     shape : (rows, columns) of the picture when it is fixed for all azimuths, as in a turntable
     """
@@ -208,7 +208,7 @@ def project(
 def _in_eye(
     height: HeightMap, viewpoint: Viewpoint, exaggeration: float
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Coordinates of each point right of, above and behind the map's centre, as seen, µm."""
+    """Return the coordinates of each point right of, above and behind the map's centre, as seen, µm."""
     turn, rise = np.radians([viewpoint.azimuth_deg, viewpoint.elevation_deg])
     rows, columns = height.z_um.shape
     x = ((np.arange(columns) - 0.5 * (columns - 1)) * height.pitch_um).astype(np.float32)[None, :]
@@ -227,7 +227,7 @@ OVERSAMPLING: Final = 2
 
 
 def rasterize_mesh(points: Projected, colours: Picture, background: tuple[int, int, int] = (255, 255, 255)) -> Picture:
-    """Picture of shape (rows, columns, 3) of the surface between the points.
+    """Return the picture of shape (rows, columns, 3) of the surface between the points.
 
     points : their positions on a picture `OVERSAMPLING` times as large in each direction
     colours : uint8 array of shape (H, W, 3), R, G, B of each point
@@ -289,7 +289,7 @@ RATE_HZ: Final = 24.0
 
 
 def turning_pictures(height: HeightMap, still: Still, frames: int = FRAMES) -> Iterator[Picture]:
-    """Pictures of one size, with an even number of rows and columns, from all directions."""
+    """Yield pictures of one size, with an even number of rows and columns, from all directions."""
     small = resize_to_width(height, still.columns)
     colours = surface_colours(small, still)
     view = still.viewpoint or Viewpoint()

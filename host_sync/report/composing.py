@@ -19,7 +19,7 @@ from host_sync.results.doubts import check_standard
 
 
 def compose(measurement: Measurement, template: Template | None = None, logo: Picture | None = None) -> Report:
-    """The report of a measurement.
+    """Return the report of a measurement.
 
     template : whose report it is and which parts it has; all parts by default
 
@@ -57,7 +57,7 @@ def compose(measurement: Measurement, template: Template | None = None, logo: Pi
 
 
 def worst(measurements: Sequence[Measurement]) -> str:
-    """The worst verdict over all tolerances, empty without; one that was not measured is undecided."""
+    """Return the worst verdict over all tolerances, empty without; one that was not measured is undecided."""
     verdicts = {one.limits.verdict for measurement in measurements for one in measurement.quantities if one.limits}
     for measurement in measurements:
         if len(measurement.recipe.tolerance) > sum(one.limits is not None for one in measurement.quantities):
@@ -78,7 +78,8 @@ def signature(report: Report, hashes: Table) -> str:
 
 
 def place_of(folder: Path, origin: Origin) -> Path:
-    """The result's path without private parts: within its library, else relative to here, else its last two names."""
+    """Return the result's path without private parts: within its library, else relative to here, else its last two
+    names."""
     if origin.scan is not None:
         return Path(*folder.absolute().parts[-4:])
     if not folder.is_absolute():
@@ -129,7 +130,7 @@ def _warnings(measurement: Measurement) -> Iterator[str]:
 
 
 def _numbers(measurement: Measurement) -> Iterator[Table]:
-    """A table per subject: quantity, value ± uncertainty, warnings."""
+    """Yield a table per subject: quantity, value ± uncertainty, warnings."""
     for subject, group in groupby(measurement.quantities, key=lambda one: one.subject):
         quantities = list(group)
         first = quantities[0]
@@ -177,7 +178,7 @@ def check_lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _short(value: object) -> str:
-    """A number with four digits; other values as text."""
+    """Return a number with four digits; other values as text."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

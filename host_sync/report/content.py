@@ -108,7 +108,7 @@ class Template(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 def read_template(path: Path) -> tuple[Template, Picture | None]:
-    """The template in a file, and its logo.
+    """Return the template in a file, and its logo.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def read_template(path: Path) -> tuple[Template, Picture | None]:
 
 
 def _logo(path: Path) -> Picture:
-    """A logo, reduced to its place."""
+    """Return a logo, reduced to its place."""
     try:
         data = path.read_bytes() if path.stat().st_size <= MAX_LOGO_BYTES else b""
     except OSError as error:

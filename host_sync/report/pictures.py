@@ -78,7 +78,8 @@ def draw_places(axes: Axes, measurement: Measurement) -> None:
 def placed(
     names: list[tuple[str, float, float]], size_mm: float, width_mm: float
 ) -> Iterator[tuple[str, float, float]]:
-    """Names and their places (mm), moved up or down until no two overlap, and left until they end inside the field.
+    """Yield names and their places (mm), moved up or down until no two overlap, and left until they end inside the
+    field.
 
     size_mm : the field's longer side; width_mm : its width
     """
@@ -112,7 +113,7 @@ _BLUE: Final = "#24527a"
 
 
 def pictures_of(measurement: Measurement, scan: ScanBundle | None, overview: Path | None = None) -> Iterator[Picture]:
-    """Every picture of a measurement, the whole relief first."""
+    """Yield every picture of a measurement, the whole relief first."""
     yield relief_picture(measurement)
     if scan is not None:
         yield frame_picture(scan)
@@ -133,7 +134,7 @@ def pictures_of(measurement: Measurement, scan: ScanBundle | None, overview: Pat
 
 
 def overview_picture(path: Path) -> Iterator[Picture]:
-    """The calibration's overview; nothing where the file is no picture."""
+    """Yield the calibration's overview; nothing where the file is no picture."""
     png = path.read_bytes()
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
     if image is not None:
@@ -142,7 +143,7 @@ def overview_picture(path: Path) -> Iterator[Picture]:
 
 
 def relief_picture(measurement: Measurement) -> Picture:
-    """The whole height map, with the measured region and lines."""
+    """Return the whole height map, with the measured region and lines."""
     figure, axes = _figure(7.0, 5.2, grid=False)
     draw_relief(axes, measurement.height, "")
     draw_places(axes, measurement)
@@ -151,7 +152,7 @@ def relief_picture(measurement: Measurement) -> Picture:
 
 
 def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
-    """The standard uncertainty of the height, pixel by pixel."""
+    """Return the standard uncertainty of the height, pixel by pixel."""
     small = reduced(HeightMap(sigma_um, pitch_um), MAX_COLUMNS)
     rows, columns = small.z_um.shape
     mm = small.pitch_um / 1000.0
@@ -164,14 +165,14 @@ def sigma_picture(sigma_um: Float32Array, pitch_um: float) -> Picture:
 
 
 def surface_picture(measurement: Measurement) -> Picture:
-    """The scale-limited surface."""
+    """Return the scale-limited surface."""
     figure, axes = _figure(7.0, 4.6, grid=False)
     draw_relief(axes, measurement.surface, "")
     return picture_of(figure, "Scale-limited surface of the region, from which the areal parameters are taken")
 
 
 def frame_picture(scan: ScanBundle) -> Picture:
-    """The camera's frame, brightened for display."""
+    """Return the camera's frame, brightened for display."""
     rgb = demosaic(scan.raw_frame()).rgb
     factor = max(1, int(np.ceil(rgb.shape[1] / FRAME_PX)))
     small = cv2.resize(rgb, (rgb.shape[1] // factor, rgb.shape[0] // factor), interpolation=cv2.INTER_AREA)
@@ -184,7 +185,7 @@ def frame_picture(scan: ScanBundle) -> Picture:
 
 
 def movie_picture(movie: MovieRecord, height: HeightMap) -> Picture:
-    """Contact and depth over the time of a press.
+    """Return contact and depth over the time of a press.
 
     height : of the whole field
     """
@@ -208,7 +209,7 @@ def movie_picture(movie: MovieRecord, height: HeightMap) -> Picture:
 
 
 def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
-    """A profile with its uncertainty as a band."""
+    """Return a profile with its uncertainty as a band."""
     figure, axes = _figure(7.0, 2.6)
     along_mm = one.profile.along_um / 1000.0
     if one.sigma_um is not None:
@@ -222,7 +223,7 @@ def profile_picture(one: MeasuredProfile, factor: int) -> Picture:
 
 
 def step_picture(one: MeasuredStep) -> Picture:
-    """A step's profile with its edges, and the lines whose distance is its height."""
+    """Return a step's profile with its edges, and the lines whose distance is its height."""
     figure, axes = _figure(7.0, 2.6)
     along_mm = one.profile.along_um / 1000.0
     axes.plot(along_mm, one.profile.z_um, color=_BLUE, linewidth=0.9)
@@ -244,7 +245,7 @@ def _doubtful(doubts: Sequence[str]) -> str:
 
 
 def ratio_picture(measurement: Measurement) -> Picture:
-    """The areal material ratio curve with the construction of Sk."""
+    """Return the areal material ratio curve with the construction of Sk."""
     curve = MaterialRatioCurve.of(measurement.surface.z_um)
     share = np.linspace(0.0, 1.0, 400)
     figure, axes = _figure(7.0, 2.6)
@@ -269,7 +270,7 @@ def ratio_picture(measurement: Measurement) -> Picture:
 
 
 def spectrum_picture(found: MeasuredSpectrum, factor: int) -> Picture:
-    """The power spectral density with its uncertainty."""
+    """Return the power spectral density with its uncertainty."""
     figure, axes = _figure(7.0, 2.8)
     per_mm, density = 1000.0 * found.spectrum.per_um, found.spectrum.density_um3
     if found.sigma_um3 is not None:
@@ -290,12 +291,12 @@ def _figure(width: float, height: float, *, grid: bool = True) -> tuple[Figure, 
 
 
 def _plain(text: str) -> str:
-    """The text, escaped so that matplotlib does not read a formula."""
+    """Return the text, escaped so that matplotlib does not read a formula."""
     return printable(text).replace("$", r"\$")
 
 
 def picture_of(figure: Figure, caption: str) -> Picture:
-    """The figure as a PNG in memory."""
+    """Return the figure as a PNG in memory."""
     stream = io.BytesIO()
     with warnings.catch_warnings():
         # Characters that the font lacks are drawn as boxes; the report's text has them.

@@ -51,7 +51,7 @@ class Outlier:
 def compose_population(
     measurements: Sequence[Measurement], template: Template | None = None, logo: Picture | None = None
 ) -> Report:
-    """The report of two results or more, in their order; maps are read for outliers only.
+    """Return the report of two results or more, in their order; maps are read for outliers only.
 
     Raises
     ------
@@ -86,8 +86,8 @@ def compose_population(
 
 
 def outliers(measurements: Sequence[Measurement], charted: Sequence[_Charted]) -> list[Outlier]:
-    """Results with a number beyond its control limits, with one that fails its tolerance, or without one that the
-    recipe asks for; the farthest first.
+    """Return results with a number beyond its control limits, with one that fails its tolerance, or without one that
+    the recipe asks for; the farthest first.
     """
     trend_by_number = {(example.subject, example.name): trend for example, _, trend in charted}
     found = []
@@ -128,7 +128,7 @@ def _facts(
 
 
 def _warnings(measurements: Sequence[Measurement], found: Sequence[Outlier]) -> Iterator[str]:
-    """Each doubt once, with the number of results that have it."""
+    """Yield each doubt once, with the number of results that have it."""
     beyond = sum(one.distance > 0.0 for one in found)
     if 2 * beyond > len(measurements):
         count = len(measurements)
@@ -185,7 +185,7 @@ def _chart(example: Quantity, row: list[Quantity | None], trend: Trend, names: l
 
 
 def _thumbnails(measurements: Sequence[Measurement], found: Sequence[Outlier]) -> tuple[list[Picture], list[str]]:
-    """A sheet of the farthest outliers with one range of colours, and a note for each that cannot be drawn."""
+    """Return a sheet of the farthest outliers with one range of colours, and a note for each that cannot be drawn."""
     heights: list[tuple[str, str, HeightMap]] = []
     notes = []
     for one in found[:MOST_THUMBNAILS]:
@@ -210,7 +210,7 @@ def _thumbnails(measurements: Sequence[Measurement], found: Sequence[Outlier]) -
 
 
 def _hashes(measurements: Sequence[Measurement]) -> Iterator[tuple[str, str, str]]:
-    """The record of each result, which names its scan and calibration."""
+    """Yield the record of each result, which names its scan and calibration."""
     for one in measurements:
         place = place_of(one.folder, origin_of(one.folder, one.record))
         if one.folder.is_dir():

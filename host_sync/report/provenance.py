@@ -43,7 +43,7 @@ class Origin:
 
 
 def origin_of(folder: Path, record: ResultRecord) -> Origin:
-    """The files around a result: the scan bundle above its folder, and its calibration's report."""
+    """Return the files around a result: the scan bundle above its folder, and its calibration's report."""
     above = folder.absolute().parent.parent
     scan = None
     if (above / SCAN_MANIFEST).is_file():

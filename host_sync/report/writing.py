@@ -60,12 +60,12 @@ def write_report(report: Report, place: Path, browser: str | None) -> list[Path]
 
 
 def report_files(place: Path) -> tuple[Path, Path]:
-    """The HTML file and the PDF of a report."""
+    """Return the HTML file and the PDF of a report."""
     return place.with_name(f"{place.name}.html"), place.with_name(f"{place.name}.pdf")
 
 
 def _printed(page: Path, browser: str) -> bytes:
-    """The PDF of a page without its dates: the same page gives the same bytes."""
+    """Return the PDF of a page without its dates: the same page gives the same bytes."""
     sheet = page.with_name(f".{page.name}.partial")  # beside the page: a packaged browser may have a /tmp of its own
     with TemporaryDirectory(prefix="retrograph-", ignore_cleanup_errors=True) as profile:
         # Without a sandbox, which containers refuse: the page has no scripts, and its pictures were encoded here.
@@ -125,7 +125,7 @@ _PAGE: Final = """@page { size: A4; margin: 14mm 15mm 16mm; color: #555;
 
 
 def html_page(report: Report) -> str:
-    """The page; at the foot of a printed one stands the template's line, else the beginning of the title."""
+    """Return the page; at the foot of a printed one stands the template's line, else the beginning of the title."""
     foot = printable(report.footer or report.title)[:110]
     body = _head(report)
     body += [f"<h1>{escape(report.title)}</h1>", f"<p>{escape(report.operations)}</p>"]
@@ -156,17 +156,17 @@ def html_page(report: Report) -> str:
 
 
 def escape(text: str) -> str:
-    """The text with markup escaped."""
+    """Return the text with markup escaped."""
     return escape_markup(printable(text))
 
 
 def _in_style(text: str) -> str:
-    """A text between quotation marks of a style sheet, where every sign but letters and digits is a number."""
+    """Return a text between quotation marks of a style sheet, where every sign but letters and digits is a number."""
     return "".join(letter if letter.isalnum() else f"\\{ord(letter):x} " for letter in text)
 
 
 def _head(report: Report) -> list[str]:
-    """Logo and organisation."""
+    """Return the logo and organisation."""
     if report.logo is None and not report.head:
         return []
     logo = ""

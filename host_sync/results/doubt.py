@@ -45,6 +45,6 @@ class Doubt(msgspec.Struct, frozen=True):
 
 
 def doubtful(kinds: Iterable[Doubt | str]) -> str:
-    """The doubts in a few words, for a line that has little room; empty without doubts."""
+    """Return the doubts in a few words, for a line that has little room; empty without doubts."""
     words = dict.fromkeys(one.kind if isinstance(one, Doubt) else one.partition(":")[0] for one in kinds)
     return f"DOUBTFUL ({', '.join(words)})" if words else ""

@@ -40,18 +40,18 @@ _BUNDLE: Final = r"[a-z0-9][a-z0-9-]*"
 
 
 def result_doubts(folder: Path, record: ResultRecord) -> tuple[Doubt, ...]:
-    """The doubts of a result in its folder, with those that a certificate of its calibration raises."""
+    """Return the doubts of a result in its folder, with those that a certificate of its calibration raises."""
     certified = _check_standards(folder, record.calibration_id, record.calibration_bundle)
     return (*record_doubts(record), *certified, *_said_later(folder, record))
 
 
 def video_doubts(folder: Path, record: SequenceRecord) -> tuple[Doubt, ...]:
-    """The doubts of a video's result in its folder."""
+    """Return the doubts of a video's result in its folder."""
     return (*record.doubts, *_check_standards(folder, record.calibration_id, None))
 
 
 def quick_look_doubts(scan: Path) -> tuple[Doubt, ...]:
-    """The doubts of the device's own height map in a scan's folder; none where its manifest cannot be read."""
+    """Return the doubts of the device's own height map in a scan's folder; none where its manifest cannot be read."""
     manifest = _decoded(scan / SCAN_MANIFEST, _ScanManifest)
     if manifest is None:
         return ()
@@ -69,19 +69,19 @@ def quick_look_doubts(scan: Path) -> tuple[Doubt, ...]:
 
 
 def stated_doubts(folder: Path) -> tuple[str, ...]:
-    """The doubts of the result in a folder, a sentence each; errors as for `read_record`."""
+    """Return the doubts of the result in a folder, a sentence each; errors as for `read_record`."""
     return tuple(doubt.sentence for doubt in result_doubts(folder, read_record(folder)))
 
 
 def record_doubts(record: ResultRecord) -> tuple[Doubt, ...]:
-    """The doubts that a result's own record states; none is stated twice."""
+    """Return the doubts that a result's own record states; none is stated twice."""
     return tuple(_of_record(record))
 
 
 def doubts_at(
     doubts: Iterable[Doubt], places: Float64Array, shape: tuple[int, int], extrapolated_share: float | None
 ) -> tuple[Doubt, ...]:
-    """The doubts that concern a measured place.
+    """Return the doubts that concern a measured place.
 
     places : float64 array of shape (N, 2), row and column of points that lie all over it, px
     shape : (H, W) of the field
@@ -216,7 +216,7 @@ def _failed_checks(scan: Path, manifest: _ScanManifest) -> Iterator[Doubt]:
 
 @lru_cache(maxsize=4)
 def _checks_in(scans: Path, _changed_ns: int) -> tuple[CheckRecord, ...]:
-    """Every check among the scans of a library; read again once a scan comes or goes."""
+    """Return every check among the scans of a library; read again once a scan comes or goes."""
     found = (_decoded(path, CheckRecord) for path in scans.glob(f"*/{CHECK_FILE}"))
     return tuple(check for check in found if check is not None)
 
@@ -249,7 +249,7 @@ class _Manifest(msgspec.Struct, frozen=True):
 
 
 def replacing(scan: Path) -> str | None:
-    """Id of the scan that replaces the one in a folder of a library; None without one.
+    """Return the id of the scan that replaces the one in a folder of a library; None without one.
 
     A replacement that the library does not hold replaces nothing there.
     """
@@ -261,7 +261,7 @@ def replacing(scan: Path) -> str | None:
 
 @lru_cache(maxsize=4)
 def _replaced_in(scans: Path, _changed_ns: int) -> dict[str, str]:
-    """Id of the replacing scan by that of the replaced one; read again once a scan comes or goes."""
+    """Return the id of the replacing scan by that of the replaced one; read again once a scan comes or goes."""
     found = {}
     for manifest in sorted(scans.glob(f"*/{SCAN_MANIFEST}")):
         try:

@@ -50,7 +50,7 @@ def write_field(path: Path, values: Float32Array, pitch_um: float, description: 
 
 
 def read_field(path: Path, shape: tuple[int, int] | None = None) -> Float32Array:
-    """The values of a float32 TIFF: array of shape (H, W).
+    """Return the values of a float32 TIFF: array of shape (H, W).
 
     shape : the shape that the field must have, if known
 
@@ -83,7 +83,7 @@ def read_samples(path: Path, max_values: int = MAX_PIXELS) -> Float32Array:
 
 
 def read_shape(path: Path) -> tuple[int, int]:
-    """The shape (H, W) that a field's header declares, with the checks of `read_field`.
+    """Return the shape (H, W) that a field's header declares, with the checks of `read_field`.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_shape(path: Path) -> tuple[int, int]:
 
 
 def read_stack_page(path: Path, page: int, shape: tuple[int, int]) -> Float32Array:
-    """One page of a video's height maps: float32 array of shape (H, W), read without the other pages.
+    """Return one page of a video's height maps: float32 array of shape (H, W), read without the other pages.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def read_stack_page(path: Path, page: int, shape: tuple[int, int]) -> Float32Arr
 
 
 def read_mask(path: Path, shape: tuple[int, ...]) -> MaskArray:
-    """The mask in a PNG of a known shape (H, W).
+    """Return the mask in a PNG of a known shape (H, W).
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
 
 
 def _declared_shape(path: Path, tiff: tifffile.TiffFile) -> tuple[int, ...]:
-    """The shape of the values that reading returns."""
+    """Return the shape of the values that reading returns."""
     series = tiff.series[0]
     if series.dtype != np.float32 or 0 in series.shape:
         raise UnreadableResult(f"{path}: is not a float32 field: {_AGAIN}")
@@ -162,7 +162,7 @@ def _declared_shape(path: Path, tiff: tifffile.TiffFile) -> tuple[int, ...]:
 
 
 def _check_field(path: Path, tiff: tifffile.TiffFile, shape: tuple[int, int] | None) -> tuple[int, int]:
-    """The declared shape (H, W), once it is known that the file holds all of its values, not compressed."""
+    """Return the declared shape (H, W), once it is known that the file holds all of its values, not compressed."""
     found = _declared_shape(path, tiff)
     if len(found) != 2 or len(tiff.pages) != 1:
         raise UnreadableResult(f"{path}: is not a float32 field: {_AGAIN}")
@@ -181,7 +181,7 @@ def _check_field(path: Path, tiff: tifffile.TiffFile, shape: tuple[int, int] | N
 
 
 def _tile_values(page: tifffile.TiffPage) -> int:
-    """Values in one tile or strip."""
+    """Return values in one tile or strip."""
     return math.prod(page.chunks if page.is_tiled else np.minimum(page.chunks, page.shape).tolist())
 
 
@@ -203,7 +203,7 @@ def _check_segments(path: Path, tiff: tifffile.TiffFile, page: tifffile.TiffPage
 
 
 def _inflated_size(tiff: tifffile.TiffFile, offset: int, count: int, limit: int) -> int:
-    """Size of an inflated segment, bytes; a larger one counts as `limit` + 1."""
+    """Return the size of an inflated segment, bytes; a larger one counts as `limit` + 1."""
     tiff.filehandle.seek(offset)
     inflating, size = zlib.decompressobj(), 0
     waiting = tiff.filehandle.read(min(count, tiff.filehandle.size))

@@ -9,7 +9,7 @@ DetailName = Literal["raw", "shrunk"]
 
 
 def other_detail(detail: DetailName) -> DetailName:
-    """The other kind."""
+    """Return the other kind."""
     return "shrunk" if detail == "raw" else "raw"
 
 

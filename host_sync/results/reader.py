@@ -75,7 +75,8 @@ class ResultSurface:
         return self.record.surface_detail
 
     def with_detail(self, detail: DetailName | None) -> ResultSurface:
-        """The surface with a kind of detail; as it is where that is its own or the only one, or None is asked for."""
+        """Return the surface with a kind of detail; as it is where that is its own or the only one, or None is asked
+        for."""
         if detail in (None, self.detail) or self.other is None:
             return self
         return replace(
@@ -93,7 +94,7 @@ class ResultSurface:
         return None if noise is None else noise.raw_height_px if self.detail == "raw" else noise.shrunk_height_px
 
     def pixel_noise_sigma(self) -> Float32Array | None:
-        """Pixel noise of either slope of raw detail: float32 array of shape (H, W); None for other detail.
+        """Return the pixel noise of either slope of raw detail: float32 array of shape (H, W); None for other detail.
 
         Shrunk detail has lost of the surface what it has lost of noise: nothing is taken off it.
         """
@@ -103,7 +104,7 @@ class ResultSurface:
         return np.asarray(np.sqrt(noise.variance(_squared_slope(self.other), "raw")), np.float32)
 
     def _slope_sigma(self, detail: DetailName) -> Float32Array | None:
-        """Standard uncertainty of the slopes with the other detail."""
+        """Return the standard uncertainty of the slopes with the other detail."""
         noise, smooth = self.record.slope_noise, self.height if self.detail == "shrunk" else self.other
         if self.slope_sigma is None or noise is None or smooth is None:
             return self.slope_sigma
@@ -118,7 +119,7 @@ def _squared_slope(height: HeightMap) -> Float32Array:
 
 
 def read_result(folder: Path, *, samples: bool = True) -> ResultSurface:
-    """The surface in a result folder.
+    """Return the surface in a result folder.
 
     samples : whether to read the Monte Carlo samples and the slope uncertainty too
 

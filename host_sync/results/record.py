@@ -41,12 +41,13 @@ class SlopeNoise(msgspec.Struct, frozen=True):
     raw_blur_px: float = 0.0
 
     def added_variance(self, square: Float32Array) -> Float32Array:
-        """Variance of either slope that raw detail has beyond shrunk detail, in a height map with p² + q² `square`."""
+        """Return the variance of either slope that raw detail has beyond shrunk detail, in a height map with p² + q²
+        `square`."""
         more = self.variance(square, "raw") - self.variance(square, "shrunk")
         return np.asarray(np.maximum(more, np.float32(0.0)), np.float32)
 
     def variance(self, square: Float32Array, detail: DetailName) -> Float32Array:
-        """Variance of either slope of a height map that is pixel noise, where p² + q² is `square`."""
+        """Return the variance of either slope of a height map that is pixel noise, where p² + q² is `square`."""
         angle_deg, kept = (self.raw_deg, self.raw_kept) if detail == "raw" else (self.shrunk_deg, self.shrunk_kept)
         cosine = np.cos(np.radians(self.tilt_deg))[::-1]
         growth = np.float32(1.0) + square
@@ -80,7 +81,7 @@ def refusals(checks: Iterable[FrameCheck]) -> list[str]:
 
 
 def not_checked(name: str, words: str) -> FrameCheck:
-    """The record of a check that could not be made."""
+    """Return the record of a check that could not be made."""
     return FrameCheck(name, "not checked", words=words)
 
 
@@ -232,12 +233,12 @@ ListedT = TypeVar("ListedT", ResultRecord, SequenceRecord)
 
 
 def encode_record(record: ResultRecord | SequenceRecord) -> bytes:
-    """The bytes of `result.json`."""
+    """Return the bytes of `result.json`."""
     return msgspec.json.format(msgspec.json.encode(record), indent=2)
 
 
 def read_record(folder: Path) -> ResultRecord:
-    """The record of a result folder.
+    """Return the record of a result folder.
 
     Raises
     ------
@@ -249,7 +250,7 @@ def read_record(folder: Path) -> ResultRecord:
 
 
 def read_listed_record(folder: Path) -> ResultRecord | SequenceRecord:
-    """The record of a result or video for a list: an optional entry of the wrong type counts as missing.
+    """Return the record of a result or video for a list: an optional entry of the wrong type counts as missing.
 
     Raises
     ------
@@ -281,7 +282,7 @@ def _decoded(path: Path) -> dict[str, Any]:
 
 
 def _well_typed(entries: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any]:
-    """The entries without optional ones that have the wrong type."""
+    """Return the entries without optional ones that have the wrong type."""
     kept = {}
     for field in msgspec.structs.fields(kind):
         if field.encode_name not in entries:

@@ -30,7 +30,8 @@ READ_ERRORS: Final = (msgspec.MsgspecError, ValueError, TypeError, LookupError, 
 
 
 def as_members(record: object) -> dict[str, bytes]:
-    """Members of an archive that `from_members` reads as the same record; an array that occurs twice is kept once."""
+    """Return members of an archive that `from_members` reads as the same record; an array that occurs twice is kept
+    once."""
     number_of: dict[int, int] = {}
     members: dict[str, bytes] = {}
 
@@ -48,7 +49,7 @@ def as_members(record: object) -> dict[str, bytes]:
 
 
 def from_members(members: Mapping[str, bytes], kind: type[T]) -> T:
-    """The record of a type that `as_members` made these members of; one of `READ_ERRORS` when malformed."""
+    """Return the record of a type that `as_members` made these members of; one of `READ_ERRORS` when malformed."""
     arrays: dict[int, np.ndarray[Any, Any]] = {}
 
     def hook(wanted: Any, value: Any) -> Any:

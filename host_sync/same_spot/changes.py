@@ -43,7 +43,7 @@ PADDING_PX: Final = 64
 
 
 def blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float32Array]:
-    """Gaussian mean over the valid pixels, and how much of the Gaussian is valid: arrays of shape (h, w)."""
+    """Return gaussian mean over the valid pixels, and how much of the Gaussian is valid: arrays of shape (h, w)."""
     known = np.isfinite(values)
     share = _filled(known, scale_px)
     total = cv2.GaussianBlur(np.where(known, values, np.float32(0.0)), (0, 0), scale_px, borderType=cv2.BORDER_CONSTANT)
@@ -52,7 +52,8 @@ def blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float3
 
 
 def heights(values: Float32Array, width_px: float) -> Float32Array:
-    """The height of a round change at each place: float32 array of shape (h, w), NaN where too little is valid around.
+    """Return the height of a round change at each place: float32 array of shape (h, w), NaN where too little is valid
+    around.
 
     values : float32 array of shape (h, w), difference of heights, NaN where unknown
     width_px : standard deviation of the change's Gaussian
@@ -72,7 +73,7 @@ def heights(values: Float32Array, width_px: float) -> Float32Array:
 
 
 def _of_one(width_px: float) -> float:
-    """The filter's answer in the middle of a Gaussian of height 1 and that width.
+    """Return the filter's answer in the middle of a Gaussian of height 1 and that width.
 
     It is the integral of 2π width² exp(-k² width²) k³ over the plane of k, over (2π)²: Γ(5/2) / (2 width³).
     """
@@ -184,7 +185,7 @@ class _Band:
 
 
 def changes(first: HeightMap, found: Difference) -> Changes:
-    """The significant changes in a difference.
+    """Return the significant changes in a difference.
 
     first : the first press, on whose grid the difference is
     """
@@ -215,20 +216,21 @@ def changes(first: HeightMap, found: Difference) -> Changes:
 
 
 def _limit(band: _Band, pitch_um: float) -> Limit:
-    """The detection limit of the changes that a band shows best."""
+    """Return the detection limit of the changes that a band shows best."""
     spread = float(np.nanquantile(band.spread, COVERED))
     diameter_um = WIDTH_TO_DIAMETER * band.scale_px * pitch_um
     return Limit(diameter_um, (LIMIT + MISSED) * spread)
 
 
 def _small(values: Float32Array, step: int, size: tuple[int, int]) -> Float32Array:
-    """Means over squares of `step` pixels."""
+    """Return means over squares of `step` pixels."""
     part = values[: size[1] * step, : size[0] * step]
     return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.float32) if step > 1 else part
 
 
 def _within(values: Float32Array) -> Float32Array:
-    """The relief that the gain is taken from, NaN where too little is valid around: float32 array of shape (h, w)."""
+    """Return the relief that the gain is taken from, NaN where too little is valid around: float32 array of shape (h,
+    w)."""
     fine, _ = blurred(values, GAIN_PX[0])
     wide, share = blurred(values, GAIN_PX[1])
     return np.asarray(np.where(share > MIN_FILLED, fine - wide, np.float32(np.nan)), np.float32)
@@ -247,7 +249,7 @@ def _gain(z_um: Float32Array, rest: Float32Array) -> float:
 
 
 def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
-    """The band of the difference with its spread on surfaces as rough as at each place."""
+    """Return the band of the difference with its spread on surfaces as rough as at each place."""
     values = heights(rest, scale_px)
     q, p = np.gradient(blurred(z_um, 0.3 * scale_px)[0])
     steep, _ = blurred(np.asarray(p * p + q * q, np.float32), scale_px)
@@ -264,7 +266,8 @@ def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
 def _change(
     bands: list[_Band], best: _Band, rest: Float32Array, place: tuple[int, int], pitch_um: float
 ) -> tuple[Change, MaskArray]:
-    """The change at the peak of a band, as a round one of Gaussian profile on a plane, and the pixels that it takes."""
+    """Return the change at the peak of a band, as a round one of Gaussian profile on a plane, and the pixels that it
+    takes."""
     row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
     down, right = np.broadcast_arrays(row - place[0], column - place[1])
     away = np.hypot(down, right)

@@ -143,7 +143,7 @@ def write_comparison(comparison: Comparison, out: Path) -> None:
 
 
 def drawn(comparison: Comparison) -> Picture:
-    """The difference in colours, with a ring around each change: picture of shape (rows, columns, 3)."""
+    """Return the difference in colours, with a ring around each change: picture of shape (rows, columns, 3)."""
     z_um = comparison.difference.z_um
     most_um = float(np.nanquantile(np.abs(z_um), 0.995))
     most_um = max([most_um, 1e-3, *(abs(one.height_um) for one in comparison.record.changes)])

@@ -23,7 +23,7 @@ MIN_PIXELS: Final = 50
 
 SECTORS: Final = 4
 """Opposite sectors of a ball count as one: what a centre that is off does to them cancels. How far the sectors differ
-says how well a ball tells its gain."""
+shows how well a ball determines its gain."""
 
 NEGLIGIBLE: Final = 1e-6
 """Share of a slope that no height map notices."""
@@ -44,7 +44,7 @@ GENTLE_DEG: Final = 10.0
 def gains_of_ball(
     slope: Float64Array, truth: Float64Array, inside: MaskArray, bands_deg: Sequence[tuple[float, float]]
 ) -> tuple[Float64Array, Float64Array]:
-    """Error of the gain in every band of tilt, and its variance; both float64 arrays of shape (bands,).
+    """Return the error of the gain in every band of tilt, and its variance; both float64 arrays of shape (bands,).
 
     Bands up to `GENTLE_DEG` are read as one. Bands that a ball does not show have the gain of those next to them, NaN
     where it shows none; the variance is NaN where fewer than two sectors tell it.
@@ -71,26 +71,26 @@ def gains_of_ball(
     return _filled(gain), variance
 
 
-def tell_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> list[int]:
-    """Numbers of the balls that tell a gain in every band."""
+def with_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> list[int]:
+    """Return numbers of the balls that tell a gain in every band."""
     return [number for number, (gain, _) in enumerate(balls) if np.isfinite(gain).all()]
 
 
 def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[tuple[float, ...], ...]:
-    """Gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball; only of
-    those that `tell_gains`.
+    """Return gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball;
+    only of those that `with_gains`.
 
     What balls agree on is believed whatever their sectors say: those may differ for a reason that all balls have.
 
     balls : gains and their variances, as of `gains_of_ball`
     """
-    known = [balls[number] for number in tell_gains(balls)]
+    known = [balls[number] for number in with_gains(balls)]
     if not known:
         return ()
     gains, variances = (np.stack(part) for part in zip(*known, strict=True))
     square = (gains**2).mean(axis=0)
-    told = np.isfinite(variances)
-    scatter = np.where(told, variances, 0.0).sum(axis=0) / np.maximum(told.sum(axis=0), 1)
+    known_bands = np.isfinite(variances)
+    scatter = np.where(known_bands, variances, 0.0).sum(axis=0) / np.maximum(known_bands.sum(axis=0), 1)
     agreed = 0.0 * square
     if len(gains) > 1:
         agreed = np.maximum(gains.mean(axis=0) ** 2 - gains.var(axis=0, ddof=1) / len(gains), 0.0)
@@ -99,9 +99,10 @@ def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[
 
 
 def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
-    """Errors of the gain at the bands' tilts whose squares add to the balls' mean square: float64 array (r, bands).
+    """Return errors of the gain at the bands' tilts whose squares add to the balls' mean square: float64 array (r,
+    bands).
 
-    The gains of balls go together in each; r is 0 where no ball tells, and the number of bands at most.
+    The gains of balls go together in each; r is 0 where no ball determines a gain, and the number of bands at most.
     """
     if not gains:
         return np.zeros((0, 0))
@@ -113,7 +114,7 @@ def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
 def shared_and_local(
     gains: Sequence[Sequence[float]], places: Sequence[tuple[float, float]]
 ) -> tuple[Float64Array, Float64Array]:
-    """Curves as of `gain_curves` of what balls have in common, and of what differs from place to place.
+    """Return curves as of `gain_curves` of what balls have in common, and of what differs from place to place.
 
     places : of the balls; without them, or with fewer than `MIN_PLACES`, all counts as common
     """
@@ -124,8 +125,8 @@ def shared_and_local(
 
 
 def local_normals(rng: np.random.Generator, shape: tuple[int, int, int, int]) -> Float32Array:
-    """Random numbers of mean 0 and variance 1 that are alike at places close by: float32 array of `shape`, samples,
-    curves, rows and columns of a reduced field.
+    """Return random numbers of mean 0 and variance 1 that are alike at places close by: float32 array of `shape`,
+    samples, curves, rows and columns of a reduced field.
 
     At every place their mean square over the samples is 1.
     """
@@ -143,8 +144,8 @@ def local_normals(rng: np.random.Generator, shape: tuple[int, int, int, int]) ->
 def gains_by_place(
     gains: Sequence[Sequence[float]], places: Sequence[tuple[float, float]], size: tuple[int, int]
 ) -> Float32Array:
-    """How large the gains of balls close by are over those of all balls, root mean squares, on a reduced field of
-    `size` (w, h): float32 array of shape (h, w).
+    """Return how large the gains of balls close by are over those of all balls, root mean squares, on a reduced field
+    of `size` (w, h): float32 array of shape (h, w).
 
     places : of the balls, column and row in widths of the field; without them it is 1 everywhere
     """
@@ -162,7 +163,7 @@ def gains_by_place(
 
 
 def gain_at(curve: Float64Array, cosine: Float32Array, tilt_deg: Sequence[float]) -> Float32Array:
-    """A curve (bands,) of gains at the tilts `tilt_deg`, where the cosine of the tilt is `cosine`: array of its
+    """Return a curve (bands,) of gains at the tilts `tilt_deg`, where the cosine of the tilt is `cosine`: array of its
     shape.
 
     Between the tilts it runs straight, beyond them it stays.

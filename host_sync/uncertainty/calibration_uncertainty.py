@@ -1,4 +1,4 @@
-"""What a calibration does not know of a frame's slopes: how they change when a fold of its balls is left out of
+"""Uncertainty of a frame's slopes from its calibration: their change when a fold of its balls is left out of
 training.
 
 Each replica of the inverse map was trained without some of the balls. Where the others say as much, all read the same
@@ -35,7 +35,7 @@ class CalibrationUncertainty:
 
     @classmethod
     def of(cls, deviations: tuple[Float32Array, Float32Array], size: tuple[int, int]) -> CalibrationUncertainty:
-        """Deviations (K, n, m) of slopes p and q, resampled to a reduced field of `size` (w, h)."""
+        """Return deviations (K, n, m) of slopes p and q, resampled to a reduced field of `size` (w, h)."""
         return cls(*(np.stack([_resampled(one, size[::-1]) for one in part]) for part in deviations))
 
     def mixed_with(self, other: CalibrationUncertainty, share: Float32Array) -> CalibrationUncertainty:
@@ -46,12 +46,13 @@ class CalibrationUncertainty:
         )
 
     def sigma(self, shape: tuple[int, int]) -> Float32Array:
-        """Standard deviation of either slope, resampled to a field of `shape` (H, W)."""
+        """Return the standard deviation of either slope, resampled to a field of `shape` (H, W)."""
         square = 0.5 * ((self.p**2).sum(axis=0) + (self.q**2).sum(axis=0))
         return _resampled(np.sqrt(square), shape)
 
     def with_unresolved(self, p: Float32Array, q: Float32Array) -> Float32Array:
-        """The same beside what was not resolved of a surface with slopes p and q: float32 array of their shape."""
+        """Return the same beside what was not resolved of a surface with slopes p and q: float32 array of their
+        shape."""
         unresolved = unresolved_slope(p, q)
         both = np.hypot(unresolved, self.sigma((unresolved.shape[0], unresolved.shape[1])))
         return _resampled(both, (p.shape[0], p.shape[1]))
@@ -64,7 +65,7 @@ def _resampled(field: Float32Array, shape: tuple[int, int]) -> Float32Array:
 def calibration_uncertainty(
     image: NormalizedImage, replicas: Sequence[InverseMap], size: tuple[int, int]
 ) -> CalibrationUncertainty:
-    """The uncertainty of an image's slopes on a reduced field of `size` (w, h)."""
+    """Return the uncertainty of an image's slopes on a reduced field of `size` (w, h)."""
     if not replicas:
         nothing = np.zeros((0, size[1], size[0]), np.float32)
         return CalibrationUncertainty(nothing, nothing)
@@ -77,12 +78,13 @@ def calibration_uncertainty(
 
 
 def jackknifed(read: Float32Array) -> Float32Array:
-    """Deviations of what K replicas read, arrays of shape (K, ...), so scaled that their squares add to a variance."""
+    """Return deviations of what K replicas read, arrays of shape (K, ...), so scaled that their squares add to a
+    variance."""
     return np.asarray(np.float32(np.sqrt((len(read) - 1) / len(read))) * (read - read.mean(axis=0)), np.float32)
 
 
 def _shrunk(values: Float32Array, size: tuple[int, int]) -> Float32Array:
-    """Colours (H, W, 3) reduced by area to `size` (w, h), as three planes where they are stored so."""
+    """Return colours (H, W, 3) reduced by area to `size` (w, h), as three planes where they are stored so."""
     stored, by_plane = as_stored(values)
     if not by_plane:
         return np.asarray(cv2.resize(stored, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -59,18 +59,18 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
         return np.asarray(np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0)))
 
     def shared(self, share: float) -> ElevationCorrection:
-        """The same for lights of which only a share of their nearness is there."""
+        """Return the same for lights of which only a share of their nearness is there."""
         return ElevationCorrection(self.apex_px, self.radius_px, share * self.nearness_per_px)
 
     def enlarged(self, factor: float) -> ElevationCorrection:
-        """The same in frames with `factor` times as many pixels in each direction."""
+        """Return the same in frames with `factor` times as many pixels in each direction."""
         return ElevationCorrection(factor * self.apex_px, factor * self.radius_px, self.nearness_per_px / factor)
 
 
 def elevation_correction(
     presses: Sequence[tuple[NormalizedImage, Sequence[Ball]]], training: BallSamples, inverse: InverseMap
 ) -> ElevationCorrection:
-    """The elevation of the balls of a calibration's presses, from their map and its training samples."""
+    """Return the elevation of the balls of a calibration's presses, from their map and its training samples."""
     radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
     shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
     apex_px = float(np.median([apex for image, balls in shown for apex in apexes_px(image, balls, inverse)]))
@@ -79,7 +79,8 @@ def elevation_correction(
 
 
 def apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
-    """Elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at least."""
+    """Return the elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at
+    least."""
     gradients = cell_slopes(image, inverse, CELL_PX)
     # In pixels instead of µm: zero as a scan's height map has it.
     height = HeightMap(integrate_dct(gradients.p, gradients.q, float(CELL_PX)), float(CELL_PX))
@@ -88,7 +89,7 @@ def apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap
 
 
 def apex_in_cells_px(z_px: Float32Array, ball: Ball, cell: int) -> float:
-    """Elevation of a ball's apex, pixels: that over its own contact's rim at least.
+    """Return the elevation of a ball's apex, pixels: that over its own contact's rim at least.
 
     z_px : elevation of cells of `cell` x `cell` pixels, shape (h, w); beyond the border that of the nearest one counts
     """

@@ -35,10 +35,10 @@ WIDEST_PX: Final = 512
 
 MIN_WEIGHT: Final = 0.01
 
-CONTRADICTION_PX: Final = 8.0
+NONINTEGRABLE_PX: Final = 8.0
 """Standard deviation of the Gaussian that takes pixel noise out of what integration removed."""
 
-CONTRADICTION_CELL_PX: Final = 4
+NONINTEGRABLE_CELL_PX: Final = 4
 """The blurs work on cells of so many pixels: half of the narrower one's standard deviation."""
 
 HALF: Final = 0.5
@@ -48,14 +48,15 @@ SlopePair = tuple[Float32Array, Float32Array]
 
 
 def nonintegrable_residual(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
-    """Standard deviation of the slope error, over patches, that the surface itself betrays: float32 array (H, W).
+    """Return the standard deviation of the slope error, over patches, that the surface itself betrays: float32 array
+    (H, W).
 
     Slopes that belong to no surface cannot be right. Of an error without preference integration removes half the power
     and keeps the other half, so that twice of what it removed is the error (p and q are the integrated slopes).
     """
     rows, columns = gradients.p.shape
-    size = (max(columns // CONTRADICTION_CELL_PX, 1), max(rows // CONTRADICTION_CELL_PX, 1))
-    sigma = CONTRADICTION_PX / CONTRADICTION_CELL_PX
+    size = (max(columns // NONINTEGRABLE_CELL_PX, 1), max(rows // NONINTEGRABLE_CELL_PX, 1))
+    sigma = NONINTEGRABLE_PX / NONINTEGRABLE_CELL_PX
     total = np.zeros(size[::-1], np.float32)
     for estimated, integrated in ((gradients.p, p), (gradients.q, q)):
         removed = removed_slope(estimated, integrated, gradients.valid)
@@ -66,7 +67,7 @@ def nonintegrable_residual(gradients: GradientField, p: Float32Array, q: Float32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightUncertainty:
-    """What is known of a height map's errors.
+    """Uncertainty of a height map.
 
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
     samples_um : float32 array of shape (SAMPLES, h, w), Monte Carlo samples of the height error over the same field
@@ -87,7 +88,7 @@ def reduced_size(shape: tuple[int, ...]) -> tuple[int, int]:
 def height_draws(
     error: SlopeError, shape: tuple[int, int], calibration: CalibrationUncertainty | None, shadow: SlopePair | None
 ) -> SlopeDraws:
-    """The random numbers behind the samples of `height_uncertainty` of a field of `shape` (H, W).
+    """Return the random numbers behind the samples of `height_uncertainty` of a field of `shape` (H, W).
 
     error, calibration, shadow : as of it
     """
@@ -99,15 +100,15 @@ def slope_sigma(
     gradients: GradientField,
     p: Float32Array,
     q: Float32Array,
-    contradiction: Float32Array,
+    nonintegrable: Float32Array,
     error: SlopeError,
     calibration_sigma: Float32Array | None = None,
     noise_kept: float = NOISE_KEPT,
 ) -> Float32Array:
-    """Standard uncertainty of either slope of the surface: float32 array of shape (H, W), NaN where invalid.
+    """Return the standard uncertainty of either slope of the surface: float32 array of shape (H, W), NaN where invalid.
 
     p, q : slopes of the height map
-    contradiction : as `nonintegrable_residual` returns it
+    nonintegrable : as `nonintegrable_residual` returns it
     calibration_sigma : of the calibration, float32 array of shape (H, W); None where it is unknown
     noise_kept : share of a pixel's noise that the surface's slopes keep
     """
@@ -116,14 +117,14 @@ def slope_sigma(
     parts = piecewise_linear(cosine, noise_kept * pixel), piecewise_linear(cosine, patch)
     weight = np.maximum(gradients.weight, np.float32(MIN_WEIGHT))
     # Both look at the same error, from the training balls and from what this surface betrays: the larger one counts.
-    unsure = np.zeros_like(contradiction) if calibration_sigma is None else calibration_sigma
-    return sigma_by_tilt((p, q), parts, weight, gradients.valid, contradiction, unsure)
+    unsure = np.zeros_like(nonintegrable) if calibration_sigma is None else calibration_sigma
+    return sigma_by_tilt((p, q), parts, weight, gradients.valid, nonintegrable, unsure)
 
 
 def height_uncertainty(
     height: HeightMap,
     gradients: GradientField,
-    contradiction: Float32Array,
+    nonintegrable: Float32Array,
     error: SlopeError,
     datum: Datum,
     scale_share: float = 0.0,
@@ -131,10 +132,10 @@ def height_uncertainty(
     shadow: SlopePair | None = None,
     draws: SlopeDraws | None = None,
 ) -> HeightUncertainty:
-    """Standard uncertainty of the height, and the samples it comes from.
+    """Return the standard uncertainty of the height, and the samples it comes from.
 
     height : levelled, zero at untouched skin
-    contradiction : as `nonintegrable_residual` returns it
+    nonintegrable : as `nonintegrable_residual` returns it
     datum : what the height map's zero was taken from
     scale_share : standard uncertainty of pixel pitch and ball radius, as a share of the height
     calibration : its own uncertainty, on a field of `reduced_size`; None where it is unknown
@@ -145,7 +146,7 @@ def height_uncertainty(
     rows, columns = gradients.p.shape
     size = reduced_size(gradients.p.shape)
     reduction = columns / size[0]
-    spread = _drawn_spread(gradients, contradiction, error, size)
+    spread = _drawn_spread(gradients, nonintegrable, error, size)
     z_small = _shrunk(_zero_unless(np.isfinite(height.z_um), height.z_um), size)
     seen = _seen(gradients, size)
     square = seen[0] ** 2 + seen[1] ** 2
@@ -185,7 +186,7 @@ def height_uncertainty(
 
 
 def _local_gain(gains: Sequence[Float32Array], at_places: Float32Array, size: tuple[int, int]) -> Float32Array:
-    """One draw of the gain that differs from place to place, on a field of `size` (w, h).
+    """Return one draw of the gain that differs from place to place, on a field of `size` (w, h).
 
     gains : standard uncertainties, arrays of that size
     at_places : a random number for each at every place of a smaller field, shape (K, n, m)
@@ -197,7 +198,7 @@ def _local_gain(gains: Sequence[Float32Array], at_places: Float32Array, size: tu
 
 
 def _fields_known(calibration: CalibrationUncertainty | None, shadow: SlopePair | None) -> list[SlopePair]:
-    """Fields of slopes p and q, each wrong all at once, as pairs of float32 arrays of shape (n, h, w).
+    """Return fields of slopes p and q, each wrong all at once, as pairs of float32 arrays of shape (n, h, w).
 
     calibration, shadow : as of `height_uncertainty`
     """
@@ -206,7 +207,7 @@ def _fields_known(calibration: CalibrationUncertainty | None, shadow: SlopePair 
 
 
 def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Array) -> float:
-    """Standard uncertainty of the zero that the drawn errors leave unexplained, µm.
+    """Return the standard uncertainty of the zero that the drawn errors leave unexplained, µm.
 
     Untouched skin is flat: by how much its heights differ, their zero is unknown. Drawn errors of slopes let it differ
     too, and move the object with it: what they account for would count twice.
@@ -218,7 +219,7 @@ def _unexplained_zero_um(datum: Datum, samples_um: Float32Array, skin: Float32Ar
 
 
 def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Float32Array]:
-    """Pixel and patch part (radians) of the error where p² + q² is `square`."""
+    """Return the pixel and patch part (radians) of the error where p² + q² is `square`."""
     # Looked up by the cosine of the tilt: no arc tangent a pixel.
     cosine = np.float32(1.0) / np.sqrt(np.float32(1.0) + square)
     known = np.cos(np.radians(error.tilt_deg))[::-1]
@@ -230,26 +231,27 @@ def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Flo
 
 
 def _drawn_spread(
-    gradients: GradientField, contradiction: Float32Array, error: SlopeError, size: tuple[int, int]
+    gradients: GradientField, nonintegrable: Float32Array, error: SlopeError, size: tuple[int, int]
 ) -> SlopePair:
-    """Standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average out."""
+    """Return the standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average
+    out."""
     square = _shrunk(squared_tilt(gradients.p, gradients.q, gradients.valid, 9.0), size)
     confidence = _shrunk(np.maximum(gradients.weight, np.float32(MIN_WEIGHT)), size)
     pixel, patch = _by_tilt(square, error)
     growth = (np.float32(1.0) + square) / np.sqrt(confidence)
     reduction = np.float32(gradients.p.shape[1] / size[0])
-    patches = np.hypot(patch * growth, _shrunk(contradiction, size))
+    patches = np.hypot(patch * growth, _shrunk(nonintegrable, size))
     return np.asarray(pixel * growth / reduction, np.float32), np.asarray(patches, np.float32)
 
 
 def _seen(gradients: GradientField, size: tuple[int, int]) -> SlopePair:
-    """Slopes on the reduced field, 0 where there are none."""
+    """Return slopes on the reduced field, 0 where there are none."""
     p, q = (_shrunk(_zero_unless(gradients.valid, slope), size) for slope in (gradients.p, gradients.q))
     return p, q
 
 
 def _zero_unless(known: MaskArray, values: Float32Array) -> Float32Array:
-    """The values, 0 where they are not known."""
+    """Return the values, 0 where they are not known."""
     return values if known.all() else np.where(known, values, np.float32(0.0))
 
 
@@ -258,7 +260,7 @@ def _shrunk(field: Float32Array | MaskArray, size: tuple[int, int]) -> Float32Ar
 
 
 def _slope_draw(draws: SlopeDraws, own: tuple[int, int], spread: SlopePair) -> Float32Array:
-    """One slope component's error on the reduced field, of a sample and an axis."""
+    """Return one slope component's error on the reduced field, of a sample and an axis."""
     pixel, patch = spread
     smooth = draws.patches[own] * (patch / max(float(draws.spread[own]), 1e-6))
     return np.asarray(draws.pixels[own] * pixel + smooth, np.float32)

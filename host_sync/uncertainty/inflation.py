@@ -33,7 +33,7 @@ class BandErrors:
     fitted_deg: float
 
     def inflation(self, pixel_deg: float) -> float:
-        """Held-out over fitted error, 1 at least, without the noise that both hold.
+        """Return held-out over fitted error, 1 at least, without the noise that both hold.
 
         pixel_deg : standard deviation of a component from pixel to pixel
         """
@@ -50,17 +50,17 @@ class Inflation:
     bands: tuple[BandErrors, ...] = ()
 
     def at(self, tilt_deg: float, pixel_deg: float) -> float:
-        """The factor at a tilt, that of all pixels where no band holds it."""
+        """Return the factor at a tilt, that of all pixels where no band holds it."""
         band = next((band for band in self.bands if band.from_deg <= tilt_deg < band.to_deg), self.overall)
         return LONE_BALL_INFLATION if band is None else band.inflation(pixel_deg)
 
     def throughout(self, pixel_deg: float) -> float:
-        """The factor over all tilts."""
+        """Return the factor over all tilts."""
         return LONE_BALL_INFLATION if self.overall is None else self.overall.inflation(pixel_deg)
 
 
 def held_out_inflation(samples: BallSamples, fit: InverseFit) -> Inflation:
-    """The inflation of a fit, by its training samples."""
+    """Return the inflation of a fit, by its training samples."""
     if fit.held_out_deg is None:
         return Inflation(None)
     step = max(1, len(samples.p) // MAX_SAMPLES)

@@ -31,7 +31,7 @@ class JoinedMaps:
     maps: tuple[InverseMap, ...]
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
-        """Slopes p and q, float64 array of shape (N, 2), of intensities of shape (N, 3 times the groups)."""
+        """Return slopes p and q, float64 array of shape (N, 2), of intensities of shape (N, 3 times the groups)."""
         parts = [
             one.predict(np.ascontiguousarray(intensity[:, CHANNELS * i : CHANNELS * (i + 1)]), column, row)
             for i, one in enumerate(self.maps)
@@ -42,7 +42,7 @@ class JoinedMaps:
 def joined_slope_error(
     first: SlopeError, images: Sequence[Sequence[NormalizedImage]], balls: Sequence[Sequence[Ball]], maps: JoinedMaps
 ) -> SlopeError:
-    """The slope error of the groups' mean.
+    """Return the slope error of the groups' mean.
 
     first : of the first group
     images : of every press, its intensity by group
@@ -68,7 +68,7 @@ def joined_slope_error(
 
 
 def _beside(groups: Sequence[NormalizedImage]) -> NormalizedImage:
-    """The intensities of all groups side by side: valid where all are, clipped where one is."""
+    """Return the intensities of all groups side by side: valid where all are, clipped where one is."""
     return NormalizedImage(
         np.concatenate([image.values for image in groups], axis=-1),
         np.logical_and.reduce([image.valid for image in groups]),

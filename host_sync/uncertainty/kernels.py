@@ -1,4 +1,4 @@
-"""What the uncertainty of every pixel is put together from, each in one pass over memory."""
+"""Components of the uncertainty of every pixel, each in one pass over memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PiecewiseLinear(NamedTuple):
 
 
 def piecewise_linear(knots: Any, values: Any) -> PiecewiseLinear:
-    """The function that `numpy.interp` evaluates; knots ascend."""
+    """Return the function that `numpy.interp` evaluates; knots ascend."""
     x, y = np.asarray(knots, np.float64), np.asarray(values, np.float64)
     slopes = np.diff(y) / np.diff(x)
     bends = np.diff(slopes, prepend=0.0)
@@ -36,19 +36,19 @@ def sigma_by_tilt(
     parts: tuple[PiecewiseLinear, PiecewiseLinear],
     weight: Float32Array,
     valid: MaskArray,
-    contradiction: Float32Array,
+    nonintegrable: Float32Array,
     calibration_sigma: Float32Array,
 ) -> Float32Array:
-    """Standard uncertainty of a slope: float32 array of shape (H, W), NaN where invalid.
+    """Return the standard uncertainty of a slope: float32 array of shape (H, W), NaN where invalid.
 
     slopes : p and q of the surface
     parts : pixel and patch part of the error by the cosine of the tilt, radians
     weight : relative confidence, kept above zero
-    contradiction : least error that the surface itself betrays
+    nonintegrable : least error that the surface itself betrays
     calibration_sigma : of the calibration, beside all else
     """
     out = np.empty(weight.shape, np.float32)
-    parallel_rows(_write_sigma, out.shape, *slopes, *parts, weight, valid, contradiction, calibration_sigma, out)
+    parallel_rows(_write_sigma, out.shape, *slopes, *parts, weight, valid, nonintegrable, calibration_sigma, out)
     return out
 
 
@@ -60,7 +60,7 @@ def squared_tilt(p: Float32Array, q: Float32Array, valid: MaskArray, most: float
 
 
 def removed_slope(estimated: Float32Array, integrated: Float32Array, valid: MaskArray) -> Float32Array:
-    """What integration took from a slope, zero where it took nothing: float32 array of shape (H, W)."""
+    """Return what integration took from a slope, zero where it took nothing: float32 array of shape (H, W)."""
     out = np.empty(estimated.shape, np.float32)
     parallel_rows(_write_removed, out.shape, estimated, integrated, valid, out)
     return out
@@ -75,7 +75,7 @@ def with_scale(sigma_um: Float32Array, share: float, z_um: Float32Array, valid: 
 
 @njit(cache=True, nogil=True)
 def _write_sigma(
-    p: Any, q: Any, pixel: PiecewiseLinear, patch: PiecewiseLinear, weight: Any, valid: Any, contradiction: Any,
+    p: Any, q: Any, pixel: PiecewiseLinear, patch: PiecewiseLinear, weight: Any, valid: Any, nonintegrable: Any,
     calibration_sigma: Any, out: Any, first: int, last: int,
 ) -> None:  # fmt: skip
     columns = out.shape[1]
@@ -85,7 +85,7 @@ def _write_sigma(
         _tilt_row(p[r], q[r], square, cosine)
         _bent_row(pixel, cosine, parts[0])
         _bent_row(patch, cosine, parts[1])
-        _sigma_row(square, parts[0], parts[1], weight[r], valid[r], contradiction[r], calibration_sigma[r], out[r])
+        _sigma_row(square, parts[0], parts[1], weight[r], valid[r], nonintegrable[r], calibration_sigma[r], out[r])
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,7 +107,7 @@ def _bent_row(function: PiecewiseLinear, x: Any, out: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _sigma_row(
-    square: Any, pixel: Any, patch: Any, weight: Any, valid: Any, contradiction: Any, calibration_sigma: Any, out: Any
+    square: Any, pixel: Any, patch: Any, weight: Any, valid: Any, nonintegrable: Any, calibration_sigma: Any, out: Any
 ) -> None:
     one, nine, nan = np.float32(1.0), np.float32(9.0), np.float32(np.nan)
     for c in range(out.size):
@@ -115,7 +115,7 @@ def _sigma_row(
         # So ordered that a slope which is no number makes the uncertainty none.
         own *= one + (nine if square[c] > nine else square[c])
         own /= np.sqrt(weight[c])
-        larger = contradiction[c] if contradiction[c] > own else own
+        larger = nonintegrable[c] if nonintegrable[c] > own else own
         total = np.sqrt(larger * larger + calibration_sigma[c] * calibration_sigma[c])
         out[c] = total if valid[c] else nan
 

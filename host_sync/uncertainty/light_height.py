@@ -1,8 +1,8 @@
-"""How high the lights stand over the skin, as balls in different places tell it.
+"""Height of the lights over the skin, estimated from balls in different places.
 
 Under a point at the height h over the place (X, Y) a matt skin of slope g shows, divided by its reference,
 I √(1 + |g|²) = 1 + a·g with a = (x - X, y - Y) / h: from pixel to pixel a changes by 1 / h, the same in every channel
-and in mixtures of lights. Lamps shine more to one side than to the other, so that directions bend over the field (see
+and in mixtures of lights. Lights shine more to one side than to the other, so that directions bend over the field (see
 `device.inverse_map.near_light`), but a few balls leave such bends to chance: the one number is fitted first, then as
 much of the bends as the balls determine well.
 """
@@ -28,9 +28,9 @@ MIN_SINGULAR_VALUE: Final = 0.1
 
 
 def nearness_per_px(training: BallSamples, shape: tuple[int, int]) -> float:
-    """One over the height of the lights, per pixel of a full-size field (H, W); 0 for lights that are far away.
+    """Return one over the height of the lights, per pixel of a full-size field (H, W); 0 for lights that are far away.
 
-    0 too where no slope is gentle: then nothing tells it.
+    0 too where no slope is gentle: then nothing determines it.
     """
     gentle = np.flatnonzero(np.hypot(training.p, training.q) < GENTLE)
     if gentle.size < MIN_SAMPLES:
@@ -48,7 +48,8 @@ def nearness_per_px(training: BallSamples, shape: tuple[int, int]) -> float:
 def _of_points(
     slope: Float64Array, place: Float64Array, brightness: Float64Array, shape: tuple[int, int]
 ) -> Float64Array:
-    """How directions change over the field under points of one height: float64 array of shape (features, channels).
+    """Return how directions change over the field under points of one height: float64 array of shape (features,
+    channels).
 
     A ball's apex is nearer to the lights than its rim and brighter: a constant and |g|² take that up.
     """
@@ -64,6 +65,6 @@ def _of_points(
 
 
 def _changes(shape: tuple[int, int]) -> list[tuple[int, float]]:
-    """The features that say how a changes along the axis of its component, and pixels in a unit of position."""
+    """Return the features that say how a changes along the axis of its component, and pixels in a unit of position."""
     exponents = position_exponents(PLACE_DEGREE)
     return [(2 * exponents.index((1, 0)), 0.5 * shape[1]), (2 * exponents.index((0, 1)) + 1, 0.5 * shape[0])]

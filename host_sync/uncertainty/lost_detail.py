@@ -43,7 +43,8 @@ SlopePair = tuple[Float32Array, Float32Array]
 
 
 def lost_variance(raw: SlopePair, shrunk: SlopePair, noise: SlopeNoise) -> Float32Array:
-    """Variance of either slope that the surface with shrunk detail lacks, on cells: float32 array of shape (h, w).
+    """Return the variance of either slope that the surface with shrunk detail lacks, on cells: float32 array of shape
+    (h, w).
 
     raw, shrunk : slopes p and q of both surfaces, float32 arrays of shape (H, W)
     noise : of the calibration
@@ -60,7 +61,7 @@ def lost_variance(raw: SlopePair, shrunk: SlopePair, noise: SlopeNoise) -> Float
 
 
 def with_lost_detail(sigma: Float32Array, lost: Float32Array) -> Float32Array:
-    """Standard uncertainty of slopes, float32 array of shape (H, W), with a variance on cells beside it."""
+    """Return the standard uncertainty of slopes, float32 array of shape (H, W), with a variance on cells beside it."""
     rows, columns = sigma.shape
     more = np.asarray(cv2.resize(lost, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
     parallel_rows(_add_variance, sigma.shape, sigma, more)

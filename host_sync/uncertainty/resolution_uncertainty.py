@@ -1,4 +1,4 @@
-"""What a camera and this pipeline cannot resolve of a surface: error of slopes where they bend within few pixels.
+"""Uncertainty from the resolution of camera and pipeline: error of slopes where they bend within few pixels.
 
 A blur of standard deviation s takes ½ s² ∇²p from a slope p, to first order: at edges, and of a wave of 10 px a sixth
 of its slope with s = 1 px. The sharpness of a lens is not known, so that this is no correction but an uncertainty.
@@ -28,7 +28,7 @@ REACH: Final = 2
 
 
 def unresolved_slope(p: Float32Array, q: Float32Array) -> Float32Array:
-    """Standard deviation of either slope that was not resolved, on cells: float32 array of shape (h, w).
+    """Return the standard deviation of either slope that was not resolved, on cells: float32 array of shape (h, w).
 
     p, q : slopes of the surface, float32 arrays of shape (H, W)
     """

@@ -41,8 +41,8 @@ class SlopeDraws:
 
 
 def slope_draws(error: SlopeError, size: tuple[int, int], columns: int, fields: int) -> SlopeDraws:
-    """The random numbers for a slope error on a reduced field of `size` (w, h): the same whenever they are drawn, and
-    kept for the next scan of a calibration. Nothing may be written to them.
+    """Return the random numbers for a slope error on a reduced field of `size` (w, h): the same whenever they are
+    drawn, and kept for the next scan of a calibration. Nothing may be written to them.
 
     columns : of the field that was reduced
     fields : how many fields of slopes, each wrong all at once, are known beside what the error says
@@ -71,7 +71,7 @@ def _drawn(size: tuple[int, int], shared_count: int, local_count: int, patch_px:
 
 
 def _normals(rng: np.random.Generator, count: int) -> Float32Array:
-    """Random numbers for every sample, mean 0 and variance 1: float32 array of shape (SAMPLES, count).
+    """Return random numbers for every sample, mean 0 and variance 1: float32 array of shape (SAMPLES, count).
 
     Over the samples the first SAMPLES - 1 columns have exactly that mean and variance, and no correlation: of what errs
     over the whole field at once, 16 independent draws would tell σ to 18 % only.

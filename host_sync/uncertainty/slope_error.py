@@ -1,4 +1,4 @@
-"""How wrong slopes are, by how steep the surface is, in parts that bend a height map over ever longer distances.
+"""Error of slopes as a function of the surface's tilt, in parts that bend a height map over ever longer distances.
 
 * from pixel to pixel: noise and pigment, which average out
 * over a patch: what the map gets wrong of a ball it did not see. Its reach is measured by what it does: slope errors
@@ -26,7 +26,7 @@ from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.fit import InverseFit
 from device.imaging.flat_field import NormalizedImage
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball, tell_gains
+from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball, with_gains
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 from host_sync.uncertainty.inflation import held_out_inflation
 
@@ -61,7 +61,7 @@ class SlopeError(msgspec.Struct, frozen=True):
     patch_deg : the part that is the same over a patch
     patch_px : size of such a patch, the standard deviation of a Gaussian
     elevation : at which the balls showed each slope
-    ball_gains : by what share slopes are read too steep, for every ball at these tilts; none where no ball tells
+    ball_gains : share by which slopes are too steep, of every ball at these tilts; none where no ball determines them
     ball_places : of these balls, column and row in widths of the field; none where they were not kept
     """
 
@@ -94,7 +94,7 @@ def measure_slope_error(
     elevation: ElevationCorrection | None = None,
     over_cells: OverCells | None = None,
 ) -> SlopeError:
-    """The slope error on the balls of a calibration, whose samples are `training`.
+    """Return the slope error on the balls of a calibration, whose samples are `training`.
 
     What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
     fit's replicas say at every pixel how much more that is. What corrects slopes over cells is judged by balls that it
@@ -128,16 +128,16 @@ def measure_slope_error(
 
 
 class ReadsSlopes(Protocol):
-    """What reads slopes of intensities; an inverse map, or several together."""
+    """A map from intensities to slopes; an inverse map, or several together."""
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
-        """Slopes p and q, float64 array of shape (N, 2)."""
+        """Return slopes p and q, float64 array of shape (N, 2)."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OverCells:
-    """What reads slopes of means over cells.
+    """A map from means of intensity over cells to slopes.
 
     reads : fitted to all balls, by ball in the order of the presses
     without : the same, fitted without that ball
@@ -149,7 +149,7 @@ class OverCells:
     size_px: int
 
     def means_of(self, presses: Pressed) -> Pressed:
-        """The presses with the mean of a cell around each pixel in its place."""
+        """Return the presses with the mean of a cell around each pixel in its place."""
         size = (self.size_px, self.size_px)
         return [
             (replace(image, values=np.asarray(cv2.blur(image.values, size), np.float32)), balls)
@@ -166,7 +166,7 @@ class ErrorByTilt(NamedTuple):
 
 
 def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
-    """What is read wrong of the balls that were pressed."""
+    """Return what is read wrong of the balls that were pressed."""
     tilt, pixel, patch = zip(*_by_band(list(_ball_errors(presses, lambda _, __: reads))), strict=True)
     return ErrorByTilt(tilt, pixel, patch)
 
@@ -174,13 +174,13 @@ def error_by_tilt(presses: Pressed, reads: ReadsSlopes) -> ErrorByTilt:
 def _with_patches_of(
     pixels: Sequence[tuple[float, float, float]], patches: Sequence[tuple[float, float, float]]
 ) -> list[tuple[float, float, float]]:
-    """Bands with the pixel part of the ones and the patch part of the others."""
+    """Return bands with the pixel part of the ones and the patch part of the others."""
     tilts_deg, _, patch_deg = zip(*patches, strict=True)
     return [(tilt, pixel, float(np.interp(tilt, tilts_deg, patch_deg))) for tilt, pixel, _ in pixels]
 
 
 def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
-    """Middle tilt of each band that balls show, and its pixel and patch part, degrees."""
+    """Return the middle tilt of each band that balls show, and its pixel and patch part, degrees."""
     tilts, pixels, patches = [np.zeros(0)], [np.zeros((2, 0))], [np.zeros((2, 0))]
     for error in errors:
         sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
@@ -202,10 +202,10 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
 def _gains(
     errors: Sequence[_BallError], tilts_deg: Sequence[float]
 ) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]]:
-    """Of every ball that tells them, at the bands' tilts, and where these balls lie."""
+    """Return gains at the bands' tilts of every ball that determines them, and the places of these balls."""
     bands = [next(pair for pair in pairwise(TILT_EDGES_DEG) if pair[0] <= tilt < pair[1]) for tilt in tilts_deg]
     found = [gains_of_ball(error.slope, error.truth, error.inside, bands) for error in errors]
-    return believed_gains(found), tuple(errors[number].place for number in tell_gains(found))
+    return believed_gains(found), tuple(errors[number].place for number in with_gains(found))
 
 
 def _spread_deg(angle: Float64Array) -> float:
@@ -248,7 +248,7 @@ def _height_errors(error: _BallError) -> _HeightErrors:
 
 
 def _reach_px(sums: Sequence[_HeightErrors]) -> float:
-    """Standard deviation of the Gaussian patches that add up to the same error of height along a ray.
+    """Return the standard deviation of the Gaussian patches that add up to the same error of height along a ray.
 
     Noise blurred by a Gaussian σ is alike over 2 sqrt(π) σ: a sum over a length l has so many times l its variance.
     """
@@ -263,7 +263,7 @@ def _reach_px(sums: Sequence[_HeightErrors]) -> float:
 def _ball_errors(
     presses: Pressed, reader: Callable[[NormalizedImage, int], ReadsSlopes], rim_px: float = 0.0
 ) -> Iterator[_BallError]:
-    """The slope error of each ball that shows enough faithful pixels.
+    """Yield the slope error of each ball that shows enough faithful pixels.
 
     reader : of an image and the number of a ball among all
     rim_px : width of the rim whose means reach beyond the contact
@@ -292,7 +292,7 @@ def _ball_errors(
 
 
 def _centred(ball: Ball, read: Float64Array, column: Float32Array, row: Float32Array) -> Ball:
-    """The ball where its own gentle slopes, float64 array of shape (N, 2), put its centre.
+    """Return the ball where its own gentle slopes, float64 array of shape (N, 2), put its centre.
 
     An error of the centre is an error of the truth: it would be taken for one of the map, all over the ball.
     """
@@ -312,7 +312,7 @@ def _window(ball: Ball, shape: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def _masked_blur(values: Float64Array, inside: MaskArray, sigma_px: float) -> Float64Array:
-    """Gaussian mean over the pixels inside only."""
+    """Return gaussian mean over the pixels inside only."""
     weight = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), sigma_px)
     blurred = cv2.GaussianBlur(values.astype(np.float32), (0, 0), sigma_px)
     return np.asarray(blurred / np.maximum(weight, 1e-6), np.float64)

@@ -57,7 +57,7 @@ class FrameSigma:
         z_um : heights of full size, float32 array of shape (H, W), as `out`
         """
         gradients, correction = reading.gradients, reading.correction
-        contradiction = nonintegrable_residual(gradients, *surface_slopes(height))
+        nonintegrable = nonintegrable_residual(gradients, *surface_slopes(height))
         if correction is None or correction.unsure is None:
             unknown = calibration_uncertainty(image, self._replicas, self._size)
         else:
@@ -70,7 +70,7 @@ class FrameSigma:
                 self._less(gradients.valid.astype(np.float32)) > 0.0,
                 self._less(gradients.weight),
             ),
-            self._less(contradiction),
+            self._less(nonintegrable),
             self._error,
             replace(datum, skin=self._less(datum.skin.astype(np.float32)) > np.float32(0.5)),
             self._scale,

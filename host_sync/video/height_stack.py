@@ -73,7 +73,7 @@ class HeightStack:
         self._pages += 1
 
     def _description(self, pages: int) -> str:
-        """Metadata for ImageJ: pages are frames, pixels are µm."""
+        """Return metadata for ImageJ: pages are frames, pixels are µm."""
         return (
             f"ImageJ=1.53t\nimages={pages}\nframes={pages}\nunit=um\nfinterval={self._interval_s:.9g}\n"
             f"fps={1.0 / self._interval_s:.9g}\nloop=false\n"
@@ -81,7 +81,7 @@ class HeightStack:
 
 
 def open_heights(path: Path) -> Float32Array:
-    """The stack as a read-only array of shape (T, H, W), mapped from disk."""
+    """Return the stack as a read-only array of shape (T, H, W), mapped from disk."""
     with tifffile.TiffFile(path) as tiff:
         first, count = tiff.pages.first, len(tiff.pages)
         rows, columns = first.shape

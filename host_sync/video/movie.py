@@ -106,5 +106,5 @@ def write_movie(
 
 
 def _page(stack: Float32Array, number: int, pitch_um: float) -> HeightMap:
-    """A page, reduced to the movie's size."""
+    """Return a page, reduced to the movie's size."""
     return reduced(HeightMap(np.array(stack[number], np.float32), pitch_um), MOVIE_WIDTH_PX)

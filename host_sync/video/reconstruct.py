@@ -98,7 +98,7 @@ COARSE_LIGHT: Final = (
 
 
 def sequence_doubts(calibration: Calibration, solver: FrameSolver) -> tuple[Doubt, ...]:
-    """The doubts of every frame."""
+    """Return the doubts of every frame."""
     rows, columns = solver.shape
     record = ResultRecord(
         name="", rows=rows, columns=columns, pixel_pitch_um=calibration.pitch_um, **calibration_facts(calibration)
@@ -190,7 +190,7 @@ def _solve_all(
 
 
 def _decode_ahead(sequence: FrameSequence, reading: ThreadPoolExecutor) -> Iterator[StoredFrame | BadFrame]:
-    """The frames, up to `QUEUE_LENGTH` of them decoded in advance."""
+    """Yield the frames, up to `QUEUE_LENGTH` of them decoded in advance."""
     frames = sequence.frames()
     jobs = deque(reading.submit(next, frames, None) for _ in range(QUEUE_LENGTH))
     while (frame := jobs.popleft().result()) is not None:
@@ -205,7 +205,7 @@ def sequence_record(
     relief: RenderedRelief,
     options: SequenceOptions,
 ) -> SequenceRecord:
-    """Contents of `result.json`."""
+    """Return contents of `result.json`."""
     rows, columns = solver.shape
     return SequenceRecord(
         name=options.name,

@@ -139,7 +139,7 @@ class AccessCheck:
         return scheme in ("http", "https") and self._access.knows_host(host)
 
     def _own_answer(self, scope: Scope) -> Response | None:
-        """A refusal or the exchange of a link; None when the request may pass."""
+        """Return a refusal or the exchange of a link; None when the request may pass."""
         headers = Headers(scope=scope)
         if not self._access.knows_host(headers.get("host", "")):
             return refused("The viewer does not answer at this address: use the link that it printed.", 421)
@@ -192,7 +192,7 @@ def redirect_file(link: str) -> Iterator[Path]:
 
 
 def refused(words: str, status: int) -> Response:
-    """A page with one sentence."""
+    """Return a page with one sentence."""
     said = html.escape(words)
     return HTMLResponse(
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Retrograph: not opened</title>'
@@ -202,7 +202,7 @@ def refused(words: str, status: int) -> Response:
 
 
 def _moving_on(link: str) -> str:
-    """A page that loads another."""
+    """Return a page that loads another."""
     place = html.escape(link, quote=True)
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
@@ -250,7 +250,7 @@ class _Address(msgspec.Struct, frozen=True):
 
 
 def kept_access(folder: Path, host: str) -> Access | None:
-    """The credentials with which a folder was viewed last; None where it was not, or they cannot be read."""
+    """Return the credentials with which a folder was viewed last; None where it was not, or they cannot be read."""
     kept = _read().get(str(folder.resolve()))
     return Access(host, kept.port, kept.code, kept.random_name) if kept else None
 

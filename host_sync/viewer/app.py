@@ -54,8 +54,8 @@ class _LabelRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
-    """The entry with the label of a request, which the library keeps in `labels.json`; scans themselves stay as they
-    are.
+    """Return the entry with the label of a request, which the library keeps in `labels.json`; scans themselves stay as
+    they are.
 
     Raises
     ------
@@ -88,7 +88,7 @@ NumberT = TypeVar("NumberT", int, float, date)
 
 
 def make_app(service: ViewerService, access: Access) -> Starlette:
-    """The application, open to requests with access."""
+    """Return the application, open to requests with access."""
     routes = [
         Route("/api/list", _answering(lambda request: _list(service, request))),
         Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
@@ -112,7 +112,7 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
 
 
 def make_live_app(view: LiveView, access: Access) -> Starlette:
-    """The application of a live view."""
+    """Return the application of a live view."""
     routes = [
         Route("/api/list", _answering(lambda _: json_answer({"only": None, "live": True, "entries": []}))),
         Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
@@ -123,7 +123,7 @@ def make_live_app(view: LiveView, access: Access) -> Starlette:
 
 
 def _application(routes: Sequence[BaseRoute], access: Access) -> Starlette:
-    """The page's files, and these routes, for requests with access."""
+    """Return the page's files, and these routes, for requests with access."""
     pages = _page_files()
 
     async def file(request: Request) -> Response:
@@ -136,7 +136,7 @@ def _application(routes: Sequence[BaseRoute], access: Access) -> Starlette:
         return Response(status_code=304, headers=headers) if kept else Response(data, media_type=media, headers=headers)
 
     def mark(_: Request) -> Response:
-        """A browser asks for it on the way in, before the page names its own."""
+        """Return a browser asks for it on the way in, before the page names its own."""
         return RedirectResponse("/page/mark.svg", 301)
 
     async def not_found(_request: Request, _error: Exception) -> Response:
@@ -212,7 +212,7 @@ def _list(service: ViewerService, request: Request) -> Response:
 
 
 def _literal(text: str) -> str:
-    """The text with brackets escaped: SQLite's GLOB would read them as a pattern."""
+    """Return the text with brackets escaped: SQLite's GLOB would read them as a pattern."""
     return text.replace("[", "[[]")
 
 
@@ -349,7 +349,7 @@ def _number(text: str, read: Callable[[str], NumberT], name: str) -> NumberT:
 
 
 def _page_files() -> dict[str, tuple[bytes, str, str]]:
-    """The page's own files by name, with media type and tag; no other file can be requested."""
+    """Return the page's own files by name, with media type and tag; no other file can be requested."""
     folder = files("host_sync.viewer") / "page"
     found = {}
     for place in (folder, folder / "vendor"):

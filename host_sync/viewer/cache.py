@@ -32,7 +32,7 @@ _OWN: Final = re.compile(r"[0-9]+-[0-9a-f]{32}")
 
 
 def default_cache() -> Path:
-    """The user's cache folder; where that cannot be written, one that is removed when the program ends."""
+    """Return the user's cache folder; where that cannot be written, one that is removed when the program ends."""
     home = user_cache()
     if home is not None:
         with suppress(OSError):
@@ -60,7 +60,7 @@ class Cache:
         self._making = Lock()
 
     def level(self, entry: Entry, page: int, level: int, first: int, last: int) -> Level:
-        """Rows `first` to `last` of a level; level 0 is never stored.
+        """Return rows `first` to `last` of a level; level 0 is never stored.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Cache:
         return Level(found.surface[first:last], found.valid[first:last])
 
     def file(self, entry: Entry, name: str, make: Callable[[], bytes]) -> bytes:
-        """A small file of an entry, made if missing."""
+        """Return a small file of an entry, made if missing."""
         folder = self.folder(entry.stamp())
         path = folder / name
         try:
@@ -96,7 +96,7 @@ class Cache:
         return data
 
     def folder(self, stamp: str) -> Path:
-        """Folder of the files of one height map."""
+        """Return the folder of the files of one height map."""
         return self._folder / f"{FORM}-{stamp}"
 
     def _stored(self, entry: Entry, page: int, level: int) -> Level:
@@ -141,7 +141,7 @@ class Cache:
 
 
 def _open(folder: Path, entry: Entry, level: int) -> Level | None:
-    """A stored level as memory-mapped arrays; None when it is missing or incomplete."""
+    """Return a stored level as memory-mapped arrays; None when it is missing or incomplete."""
     rows, columns = (size >> level for size in padded_shape(entry.shape))
     try:
         surface = np.memmap(folder / f"surface-{level}.f16", np.float16, "r")

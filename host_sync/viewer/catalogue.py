@@ -71,7 +71,7 @@ class Catalogue:
             raise ViewError(f"{root}: holds neither scans nor results: name a library or a result")
 
     def list(self, wanted: ListFilter) -> Listing:
-        """The entries that match the filters; those of a library by time of the press, newest first.
+        """Return the entries that match the filters; those of a library by time of the press, newest first.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Catalogue:
         return Listing(tuple(one for one in entries if _answers(one, wanted.words)), tuple(complaints))
 
     def find(self, key: str) -> Entry:
-        """The entry of that key.
+        """Return the entry of that key.
 
         Raises
         ------
@@ -139,7 +139,8 @@ class Catalogue:
 
 
 def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
-    """The results of a scan, newest first, else its quick look: `seen`, if it was read before. Errors are yielded."""
+    """Yield the results of a scan, newest first, else its quick look: `seen`, if it was read before. Errors are
+    yielded."""
     shown = 0
     for folder in sorted(_result_folders(scan / "results"), key=_changed_ns, reverse=True):
         try:
@@ -159,7 +160,7 @@ def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
 
 
 def _result_folders(root: Path, depth: int = MAX_DEPTH) -> list[Path]:
-    """Folders with a record at or below a folder, sorted; links are not followed."""
+    """Return folders with a record at or below a folder, sorted; links are not followed."""
     found: list[Path] = []
     waiting = [(root, depth)]
     while waiting and len(found) < MAX_RESULTS:
@@ -180,7 +181,7 @@ def _result_folders(root: Path, depth: int = MAX_DEPTH) -> list[Path]:
 
 
 def _changed_ns(folder: Path) -> int:
-    """Time of the last change; 0 for a folder that was just removed."""
+    """Return the time of the last change; 0 for a folder that was just removed."""
     try:
         return folder.stat().st_mtime_ns
     except OSError:

@@ -102,7 +102,7 @@ class Entry:
         return self.heights.parent
 
     def stamp(self) -> str:
-        """A hash that changes when the heights on disk change.
+        """Return a hash that changes when the heights on disk change.
 
         Raises
         ------
@@ -118,12 +118,12 @@ class Entry:
 
 
 def key_of(path: Path) -> str:
-    """The key of a path."""
+    """Return the key of a path."""
     return hashlib.sha256(str(path.resolve()).encode(errors="surrogateescape")).hexdigest()[:16]
 
 
 def result_entry(folder: Path, scan: Path | None = None, hit: Hit | None = None) -> Entry:
-    """The entry of a result folder.
+    """Return the entry of a result folder.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def result_entry(folder: Path, scan: Path | None = None, hit: Hit | None = None)
 
 
 def quick_look_entry(scan: Path, hit: Hit, pixel_pitch_um: float, frame_shape: tuple[int, int]) -> Entry:
-    """The entry of a scan without a result: the device's reduced height map.
+    """Return the entry of a scan without a result: the device's reduced height map.
 
     pixel_pitch_um, frame_shape : of the raw frame
 
@@ -185,7 +185,7 @@ def quick_look_entry(scan: Path, hit: Hit, pixel_pitch_um: float, frame_shape: t
 
 
 def relabelled(entry: Entry, scan_id: str, label: Label) -> Entry:
-    """The entry with a scan's new label, if it is of that scan."""
+    """Return the entry with a scan's new label, if it is of that scan."""
     if entry.hit is None or entry.hit.scan_id != scan_id:
         return entry
     hit = replace(entry.hit, name=label.name, tags=label.tags, note=label.note)
@@ -199,7 +199,7 @@ def _title(hit: Hit | None, own: str) -> str:
 
 
 def _scan_around(folder: Path) -> Path | None:
-    """The scan bundle whose results/<name>/ this folder is."""
+    """Return the scan bundle whose results/<name>/ this folder is."""
     scan = folder.resolve().parent.parent
     return scan if (scan / "scan.json").is_file() else None
 
@@ -220,7 +220,7 @@ class Heights:
         self._lock = Lock()
 
     def read(self, entry: Entry, page: int = 0) -> Float32Array:
-        """The height map: float32 array of shape (H, W), µm, NaN where invalid or impossible; read only.
+        """Return the height map: float32 array of shape (H, W), µm, NaN where invalid or impossible; read only.
 
         Raises
         ------
@@ -234,7 +234,7 @@ class Heights:
         return self._holding((entry.stamp(), page), lambda: _read(entry, page))
 
     def sigma(self, entry: Entry) -> Float32Array | None:
-        """The standard uncertainty, float32 array of shape (H, W), µm; None when the entry has none.
+        """Return the standard uncertainty, float32 array of shape (H, W), µm; None when the entry has none.
 
         Raises
         ------

@@ -39,7 +39,7 @@ class Measuring:
         self._lock = Lock()
 
     def measure(self, entry: Entry, page: int, recipe: Recipe, *, samples: bool) -> dict[str, Any]:
-        """The answer to the page.
+        """Return the answer to the page.
 
         samples : whether to compute uncertainties, which takes many times as long
 
@@ -81,7 +81,7 @@ class Measuring:
         return surface
 
     def _bare(self, entry: Entry, page: int) -> ResultSurface:
-        """A height map without a result's samples: of a quick look, a difference or a frame of a video."""
+        """Return a height map without a result's samples: of a quick look, a difference or a frame of a video."""
         record = ResultRecord(
             name=entry.title,
             method=entry.kind,
@@ -94,7 +94,7 @@ class Measuring:
 
 
 def recipe_from_page(body: bytes) -> Recipe:
-    """The recipe in a request: its keys as JSON, or a file's text under the one key `text`.
+    """Return the recipe in a request: its keys as JSON, or a file's text under the one key `text`.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def recipe_from_page(body: bytes) -> Recipe:
 
 
 def _ratio(found: Measurement) -> dict[str, Any] | None:
-    """The material ratio curve (Abbott) and the construction of Sk on it; heights in µm from the mean."""
+    """Return the material ratio curve (Abbott) and the construction of Sk on it; heights in µm from the mean."""
     curve = MaterialRatioCurve.of(found.surface.z_um)
     if curve.falling_um.size < MIN_CURVE:
         return None
@@ -126,7 +126,7 @@ def _ratio(found: Measurement) -> dict[str, Any] | None:
 
 
 def _histogram(z_um: Float32Array) -> dict[str, Any] | None:
-    """Shares of the area by height, µm from the mean."""
+    """Return shares of the area by height, µm from the mean."""
     seen = z_um[np.isfinite(z_um)].astype(np.float64)
     if seen.size < MIN_CURVE:
         return None

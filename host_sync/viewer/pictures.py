@@ -27,7 +27,7 @@ _WHITE_SHARE: Final = 99.7
 
 
 def thumbnail(z_um: Float32Array, pitch_um: float) -> bytes:
-    """A small relief as WebP, shaded from the upper left, transparent where invalid."""
+    """Return a small relief as WebP, shaded from the upper left, transparent where invalid."""
     factor = max(1, int(np.ceil(max(z_um.shape) / THUMBNAIL_PX)))
     size = (max(2, z_um.shape[1] // factor), max(2, z_um.shape[0] // factor))
     small = cv2.resize(z_um, size, interpolation=cv2.INTER_AREA)
@@ -49,7 +49,7 @@ def thumbnail(z_um: Float32Array, pitch_um: float) -> bytes:
 
 
 def frame_picture(entry: Entry, spec: ScanSpec | None) -> bytes:
-    """The frame that a height map was made from, as JPEG.
+    """Return the frame that a height map was made from, as JPEG.
 
     spec : the scan of the named frame set, for results outside a library
 
@@ -101,7 +101,7 @@ def _display_rgb(rgb: Float32Array) -> NDArray[np.uint8]:
 
 
 def sigma_picture(sigma_um: Float32Array) -> Float32Array:
-    """The reduced uncertainty map: float32 array of shape (h, w), µm; NaN where unknown."""
+    """Return the reduced uncertainty map: float32 array of shape (h, w), µm; NaN where unknown."""
     factor = max(1, int(np.ceil(max(sigma_um.shape) / SIGMA_PX)))
     size = (max(1, sigma_um.shape[1] // factor), max(1, sigma_um.shape[0] // factor))
     known = np.isfinite(sigma_um).astype(np.float32)

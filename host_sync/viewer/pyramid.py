@@ -48,7 +48,7 @@ class Means:
 
 
 def level_count(shape: tuple[int, int]) -> int:
-    """Number of levels of a height map, including level 0."""
+    """Return the number of levels of a height map, including level 0."""
     count = 1
     while count < MAX_LEVELS and max(shape) >> (count - 1) > MIN_LEVEL_PX:
         count += 1
@@ -56,13 +56,13 @@ def level_count(shape: tuple[int, int]) -> int:
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """Size of level 0: (H, W) padded to multiples of the coarsest level's cell."""
+    """Return the size of level 0: (H, W) padded to multiples of the coarsest level's cell."""
     cell = 1 << (level_count(shape) - 1)
     return -(-shape[0] // cell) * cell, -(-shape[1] // cell) * cell
 
 
 def coarse_levels(z_um: Float32Array, pitch_um: float) -> list[Level]:
-    """Levels 1 and up of a height map, fine to coarse."""
+    """Return levels 1 and up of a height map, fine to coarse."""
     means = [_first_means(z_um, pitch_um)]
     for _ in range(level_count(z_um.shape) - 2):
         means.append(_halved(means[-1]))
@@ -75,7 +75,7 @@ def coarse_levels(z_um: Float32Array, pitch_um: float) -> list[Level]:
 
 
 def finest_rows(z_um: Float32Array, pitch_um: float, above: Level | None, first: int, last: int) -> Level:
-    """Rows `first` to `last` of level 0, both even.
+    """Return rows `first` to `last` of level 0, both even.
 
     above : level 1, which gives heights inside holes
     """
@@ -96,7 +96,7 @@ def _bands(rows: int, step: int = 512) -> Iterator[tuple[int, int]]:
 
 
 def _first_means(z_um: Float32Array, pitch_um: float) -> Means:
-    """Level 1, computed in bands to save memory."""
+    """Return the level 1, computed in bands to save memory."""
     rows, columns = padded_shape(z_um.shape)
     half = (max(rows // 2, 1), max(columns // 2, 1))
     found = Means(*(np.zeros(half, np.float32) for _ in range(4)))
@@ -135,7 +135,7 @@ def _slopes(
 
 
 def _halved(fine: Means) -> Means:
-    """Means over 2 × 2 cells, weighted."""
+    """Return means over 2 × 2 cells, weighted."""
     size = (max(fine.weight.shape[1] // 2, 1), max(fine.weight.shape[0] // 2, 1))
 
     def mean(values: Float32Array) -> Float32Array:
@@ -148,7 +148,7 @@ def _halved(fine: Means) -> Means:
 
 
 def _filled(z_um: Float32Array, known: NDArray[np.bool_], coarser: Float32Array | None) -> Float32Array:
-    """Heights, from the coarser level where invalid."""
+    """Return heights, from the coarser level where invalid."""
     if known.all():
         return z_um
     if coarser is None:

@@ -34,24 +34,24 @@ def json_answer(content: Any) -> Response:
 
 
 def binary_answer(data: bytes, facts: Mapping[str, int]) -> Response:
-    """Bytes with integers in the headers."""
+    """Return bytes with integers in the headers."""
     headers = {f"X-{name}": str(value) for name, value in facts.items()} | {"Cache-Control": "no-store"}
     return Response(data, media_type="application/octet-stream", headers=headers)
 
 
 def level_answer(level: Level) -> Response:
-    """Rows of a level: half floats, then validity bytes."""
+    """Return rows of a level: half floats, then validity bytes."""
     rows, columns = level.valid.shape
     return binary_answer(level.surface.tobytes() + level.valid.tobytes(), {"Rows": rows, "Columns": columns})
 
 
 def readable(text: str) -> str:
-    """The text with `?` for each byte that is not valid UTF-8."""
+    """Return the text with `?` for each byte that is not valid UTF-8."""
     return text.encode(errors="replace").decode()
 
 
 def entry_info(entry: Entry) -> dict[str, Any]:
-    """An entry as the list shows it."""
+    """Return an entry as the list shows it."""
     hit = entry.hit
     facts = {name: getattr(entry.record, name, None) for name in _FACTS}
     info: dict[str, Any] = {
@@ -87,7 +87,7 @@ def entry_info(entry: Entry) -> dict[str, Any]:
 
 
 def profile_info(found: MeasuredLine, entry: Entry) -> dict[str, Any]:
-    """A profile as lists; invalid samples are null."""
+    """Return a profile as lists; invalid samples are null."""
     ends = np.flatnonzero(np.isfinite(found.z_um))
     first, last = (int(ends[0]), int(ends[-1])) if ends.size else (0, 0)
     step = float(found.z_um[last] - found.z_um[first]) if ends.size else None
@@ -104,7 +104,7 @@ def profile_info(found: MeasuredLine, entry: Entry) -> dict[str, Any]:
 
 
 def profile_csv(found: MeasuredLine, entry: Entry) -> Response:
-    """A profile as CSV; sigma is one standard uncertainty."""
+    """Return a profile as CSV; sigma is one standard uncertainty."""
     doubts = readable("; ".join(entry.doubts))
     sigma = np.full_like(found.z_um, np.nan) if found.sigma_um is None else found.sigma_um
     numbers = zip(found.rows, found.columns, found.along_um, found.z_um, sigma, strict=True)
@@ -139,7 +139,8 @@ class MeasuredLine(Profile):
     samples_um: Float64Array | None
 
     def difference_sigma_um(self, first: int, last: int) -> float | None:
-        """Standard uncertainty of z[last] - z[first]: smaller than that of either, as most of their error is common."""
+        """Return the standard uncertainty of z[last] - z[first]: smaller than that of either, as most of their error is
+        common."""
         if self.samples_um is None:
             return None
         return float(np.sqrt(np.mean((self.samples_um[:, last] - self.samples_um[:, first]) ** 2)))
@@ -152,7 +153,7 @@ def measure_line(
     samples_um: Float32Array | None = None,
     sigma_um: Float32Array | None = None,
 ) -> MeasuredLine:
-    """The profile along a line; along a row or a column it is the array itself.
+    """Return the profile along a line; along a row or a column it is the array itself.
 
     samples_um : float32 array of shape (K, h, w), samples of the height error on a reduced grid
     sigma_um : float32 array of shape (H, W), used where there are no samples
@@ -181,7 +182,7 @@ def measure_line(
 
 
 def _places(line: Line, pitch_um: float, shape: tuple[int, int]) -> tuple[Float64Array, Float64Array]:
-    """Rows and columns of the samples, px."""
+    """Return rows and columns of the samples, px."""
     ends = np.array([line.start_um, line.end_um]).T[::-1] / pitch_um
     whole = np.round(ends)
     ends = np.where(np.abs(ends - whole) < WHOLE_PX, whole, ends)
@@ -196,7 +197,7 @@ def _places(line: Line, pitch_um: float, shape: tuple[int, int]) -> tuple[Float6
 
 
 def _drawn(samples_um: Float32Array, rows: Float64Array, columns: Float64Array, shape: tuple[int, int]) -> Float64Array:
-    """The samples along the line: their cells cover several pixels each."""
+    """Return the samples along the line: their cells cover several pixels each."""
     factor_rows, factor_columns = shape[0] / samples_um.shape[1], shape[1] / samples_um.shape[2]
     down = ((rows + 0.5) / factor_rows - 0.5).astype(np.float32)[None]
     right = ((columns + 0.5) / factor_columns - 0.5).astype(np.float32)[None]

@@ -45,7 +45,7 @@ _DIFFERENCE_RECORD: Final = "difference.json"
 
 
 def _overview_of(entry: Entry) -> Path | None:
-    """The file of the overview that `retrosync calibrate` drew, if the entry's calibration has one."""
+    """Return the file of the overview that `retrosync calibrate` drew, if the entry's calibration has one."""
     return origin_of(entry.folder, entry.record).overview if isinstance(entry.record, ResultRecord) else None
 
 
@@ -81,12 +81,12 @@ class ViewerService:
         self._turn = BoundedSemaphore(HEAVY)
 
     def level(self, key: str, page: int, level: int, first: int, last: int) -> Level:
-        """Rows of a level of an entry's pyramid."""
+        """Return rows of a level of an entry's pyramid."""
         with self._turn:
             return self._cache.level(self.catalogue.find(key), page, level, first, last)
 
     def thumbnail(self, key: str) -> bytes:
-        """A small relief, WebP."""
+        """Return a small relief, WebP."""
         entry = self.catalogue.find(key)
         middle = entry.pages // 2
         with self._turn:
@@ -95,13 +95,13 @@ class ViewerService:
             )
 
     def frame(self, key: str) -> bytes:
-        """The entry's frame, JPEG."""
+        """Return the entry's frame, JPEG."""
         entry = self.catalogue.find(key)
         with self._turn:
             return self._cache.file(entry, "frame.jpg", lambda: frame_picture(entry, self._frames.get(entry.title)))
 
     def calibration_overview(self, key: str) -> bytes:
-        """The picture of the entry's calibration, PNG."""
+        """Return the picture of the entry's calibration, PNG."""
         entry = self.catalogue.find(key)
         picture = _overview_of(entry)
         if picture is None:
@@ -109,7 +109,7 @@ class ViewerService:
         return picture.read_bytes()
 
     def sigma(self, key: str) -> Float32Array:
-        """The reduced map of the standard uncertainty, µm."""
+        """Return the reduced map of the standard uncertainty, µm."""
         entry = self.catalogue.find(key)
         with self._turn:
             found = self._heights.sigma(entry)
@@ -118,7 +118,7 @@ class ViewerService:
             return sigma_picture(found)
 
     def profile(self, key: str, page: int, ends_px: tuple[float, float, float, float]) -> MeasuredLine:
-        """The heights along a line.
+        """Return the heights along a line.
 
         ends_px : row and column of the start, row and column of the end
         """
@@ -131,7 +131,7 @@ class ViewerService:
             return measure_line(self._heights.read(entry, page), entry.pitch_um, line, samples_um, sigma_um)
 
     def measure(self, key: str, page: int, recipe: Recipe, *, samples: bool) -> dict[str, Any]:
-        """The measurement of an entry by a recipe, as the page shows it."""
+        """Return the measurement of an entry by a recipe, as the page shows it."""
         from host_sync.viewer.measuring import Measuring
 
         entry = self.catalogue.find(key)
@@ -140,7 +140,7 @@ class ViewerService:
             return self._measuring.measure(entry, page, recipe, samples=samples)
 
     def height(self, key: str, page: int, row: int, column: int) -> float:
-        """One pixel's height, µm; NaN where invalid."""
+        """Return one pixel's height, µm; NaN where invalid."""
         entry = self.catalogue.find(key)
         z_um = self._heights.read(entry, page)
         if not (0 <= row < z_um.shape[0] and 0 <= column < z_um.shape[1]):
@@ -172,7 +172,7 @@ class ViewerService:
         }
 
     def compare(self, first_key: str, second_key: str, near: NearPose | None = None) -> Entry:
-        """The difference of two entries, second minus first, as an entry of its own.
+        """Return the difference of two entries, second minus first, as an entry of its own.
 
         near : the shift that a person gave, if any
 
@@ -208,7 +208,7 @@ class ViewerService:
         return entry
 
     def refused_pose(self, first_key: str, refused: RegistrationRefused) -> dict[str, float]:
-        """The best pose of a registration that was refused, for a person to start from."""
+        """Return the best pose of a registration that was refused, for a person to start from."""
         pitch_um = self.catalogue.find(first_key).pitch_um
         return {
             "down_um": refused.down_px * pitch_um,
@@ -276,6 +276,6 @@ def _stored_difference(folder: Path) -> DifferenceRecord | None:
 
 
 def _stated_range(record: Record | None) -> tuple[float, float] | None:
-    """Lowest and highest height of all frames of a video, µm, where its record states them."""
+    """Return the lowest and highest height of all frames of a video, µm, where its record states them."""
     ends = record.colour_range_um if isinstance(record, SequenceRecord) else None
     return ends if ends is not None and ends[0] < ends[1] else None

@@ -148,7 +148,7 @@ def is_free(host: str, port: int) -> bool:
 
 
 def _listeners(hosts: list[str], port: int) -> list[socket.socket]:
-    """Sockets on one port at the first host and at the others whose address family this machine has."""
+    """Return sockets on one port at the first host and at the others whose address family this machine has."""
     with ExitStack() as stack:
         listeners: list[socket.socket] = []
         for host in hosts:
@@ -179,7 +179,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 
 def make_server(app: ASGIApp, limits: ConnectionLimits | None = None) -> uvicorn.Server:
-    """The server of an application; `run(sockets=[…])` serves until `should_exit` is set."""
+    """Return the server of an application; `run(sockets=[…])` serves until `should_exit` is set."""
     config = uvicorn.Config(
         app,
         http=partial(LimitedConnection, limits=limits or ConnectionLimits()),  # type: ignore[arg-type]

@@ -43,7 +43,7 @@ class CellGrid:
 
     @classmethod
     def empty(cls, rows: int, columns: int, depth: ColourDepth) -> CellGrid:
-        """A grid of spaces in the terminal's default colours."""
+        """Return a grid of spaces in the terminal's default colours."""
         shape = (max(rows, 0), max(columns, 0))
         own = np.full(shape, OWN, np.int32)
         return cls(np.full(shape, " ", "<U1"), own, own.copy(), np.zeros(shape, np.bool_), depth)
@@ -74,7 +74,7 @@ class CellGrid:
         self.paper[here], self.bold[here] = part.paper[there], part.bold[there]
 
     def lines(self) -> list[str]:
-        """The glyphs of each row."""
+        """Return the glyphs of each row."""
         return ["".join(row) for row in self.glyphs]
 
     def _room(self, row: int, column: int) -> tuple[int, int]:
@@ -83,7 +83,7 @@ class CellGrid:
 
 
 def colour_depth(environment: Mapping[str, str]) -> ColourDepth:
-    """The colours of a terminal, from its environment variables: none with NO_COLOR, sixteen by default."""
+    """Return the colours of a terminal, from its environment variables: none with NO_COLOR, sixteen by default."""
     term = environment.get("TERM", "")
     if environment.get("NO_COLOR") or term in _MONO:
         return "mono"
@@ -111,7 +111,7 @@ _GREYS: Final = np.array([BLACK, GREY, SILVER, WHITE], np.int32)
 
 
 def grey_cells(brightness: Float32Array, valid: MaskArray, depth: ColourDepth) -> CellGrid:
-    """Cells of a grey picture.
+    """Return cells of a grey picture.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def grey_cells(brightness: Float32Array, valid: MaskArray, depth: ColourDepth) -
 
 
 def colour_cells(colour: NDArray[np.int32], valid: MaskArray) -> CellGrid:
-    """Cells of a colour picture, 0xRRGGBB of shape (2 rows, columns); cells with an invalid half are hatched."""
+    """Return cells of a colour picture, 0xRRGGBB of shape (2 rows, columns); cells with an invalid half are hatched."""
     cells = CellGrid.empty(colour.shape[0] // 2, colour.shape[1], "full")
     cells.glyphs[:] = UPPER
     cells.ink[:], cells.paper[:] = colour[0::2], colour[1::2]
@@ -133,7 +133,7 @@ def colour_cells(colour: NDArray[np.int32], valid: MaskArray) -> CellGrid:
 
 
 def _dithered(brightness: Float32Array, levels: int) -> NDArray[np.int32]:
-    """Brightness quantized to `levels`, with ordered dithering over 4 x 4 pixels."""
+    """Return the brightness quantized to `levels`, with ordered dithering over 4 x 4 pixels."""
     rows, columns = brightness.shape
     threshold = np.tile(0.5 + _SPREAD * ((_BAYER + 0.5) / 16.0 - 0.5), (rows // 4 + 1, columns // 4 + 1))[
         :rows, :columns
@@ -143,7 +143,7 @@ def _dithered(brightness: Float32Array, levels: int) -> NDArray[np.int32]:
 
 
 def _four_greys(brightness: Float32Array, valid: MaskArray) -> CellGrid:
-    """Cells in a console's four greys; bright greys (odd levels) only as ink."""
+    """Return cells in a console's four greys; bright greys (odd levels) only as ink."""
     levels = _dithered(brightness, len(_GREYS))
     upper, lower = levels[0::2], levels[1::2]
     cells = CellGrid.empty(upper.shape[0], upper.shape[1], "sixteen")
@@ -158,7 +158,7 @@ def _four_greys(brightness: Float32Array, valid: MaskArray) -> CellGrid:
 
 
 def _shades(brightness: Float32Array, valid: MaskArray) -> CellGrid:
-    """Cells without colour: five shades of ink, one per cell."""
+    """Return cells without colour: five shades of ink, one per cell."""
     mean = (brightness[0::2] + brightness[1::2]) / np.float32(2.0)
     cells = CellGrid.empty(mean.shape[0], mean.shape[1], "mono")
     shade = np.clip(np.nan_to_num(mean) * len(SHADES), 0, len(SHADES) - 1).astype(np.int32)
@@ -180,7 +180,7 @@ MIN_VALID: Final = 0.5
 
 
 def fitted_shape(shape: tuple[int, ...], rows: int, columns: int) -> tuple[int, int]:
-    """The largest (rows, columns) of cells in which a picture of `shape` (H, W) keeps its proportions.
+    """Return the largest (rows, columns) of cells in which a picture of `shape` (H, W) keeps its proportions.
 
     A cell is twice as high as wide and holds two square pixels.
     """
@@ -190,7 +190,7 @@ def fitted_shape(shape: tuple[int, ...], rows: int, columns: int) -> tuple[int, 
 
 
 def resampled(values: Float32Array, shape: tuple[int, int]) -> Float32Array:
-    """A map on another grid: float32 array of `shape` (h, w), NaN where too little was valid."""
+    """Return a map on another grid: float32 array of `shape` (h, w), NaN where too little was valid."""
     valid = np.isfinite(values)
     size = (shape[1], shape[0])
     method = cv2.INTER_AREA if shape[0] <= values.shape[0] else cv2.INTER_LINEAR

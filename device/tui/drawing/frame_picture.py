@@ -42,7 +42,8 @@ class Circle:
 def shown_colours(
     picture: NDArray[np.uint8], rows: int, columns: int, before: Float32Array | None = None
 ) -> Float32Array:
-    """Colours of a live picture, uint8 array of shape (h, w, 3), in at most `rows` x `columns` cells, two a cell.
+    """Return colours of a live picture, uint8 array of shape (h, w, 3), in at most `rows` x `columns` cells, two a
+    cell.
 
     before : colours that are shown; one that hardly differs stays, so that noise sends nothing to the terminal
     """
@@ -55,7 +56,7 @@ def shown_colours(
 
 
 def frame_cells(colours: Float32Array, depth: ColourDepth, circles: Iterable[Circle] = ()) -> CellGrid:
-    """Cells of a live picture's colours, with circles on it."""
+    """Return cells of a live picture's colours, with circles on it."""
     cells = _cells(colours, depth)
     for circle in circles:
         _draw(cells, circle)
@@ -72,7 +73,7 @@ def _cells(colours: Float32Array, depth: ColourDepth) -> CellGrid:
 
 
 def _one_light(red: Float32Array) -> Float32Array:
-    """Brightness from 0 to 1 under the red light alone, as the sum of three lights hardly shows a relief.
+    """Return the brightness from 0 to 1 under the red light alone, as the sum of three lights hardly shows a relief.
 
     The light's slow fall-off is divided out.
     """

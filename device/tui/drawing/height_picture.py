@@ -40,7 +40,7 @@ class Room:
 def height_picture(
     height: HeightMap, room: Room, cursor: ProfileCursor | None = None, origin: tuple[int, int] = (0, 0)
 ) -> CellGrid:
-    """Cells that fill the room: the relief as large as possible, with scale, bar and profile where they fit.
+    """Return cells that fill the room: the relief as large as possible, with scale, bar and profile where they fit.
 
     origin : row and column of the first pixel in the whole map, for the stated position
     """
@@ -75,14 +75,14 @@ def relief_shape(height: HeightMap, room: Room, cursor: ProfileCursor | None) ->
 
 
 def picture_rows(height: HeightMap, room: Room, cursor: ProfileCursor | None) -> int:
-    """Number of rows that the picture uses."""
+    """Return the number of rows that the picture uses."""
     rows = relief_shape(height, room, cursor)[0]
     below = 0 if _is_small(room) else 1 + (PROFILE_ROWS if cursor and _fits_profile(room) else 0)
     return min(rows + below, room.rows)
 
 
 def sentence_cells(sentence: str, room: Room) -> CellGrid:
-    """A sentence centred in the room, shown instead of a map."""
+    """Return a sentence centred in the room, shown instead of a map."""
     cells = CellGrid.empty(room.rows, room.columns, room.depth)
     lines = textwrap.wrap(sentence, max(min(room.columns - 4, 44), 8))
     for row, line in enumerate(lines, start=max((room.rows - len(lines)) // 2, 0)):

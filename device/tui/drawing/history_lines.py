@@ -20,7 +20,8 @@ BARS: Final = 7
 
 
 def movie_text(movie: MovieRecord, depth: ColourDepth) -> str:
-    """Contact and depth over the press with the largest value of each, in a line; a frame without one has no bar."""
+    """Return contact and depth over the press with the largest value of each, in a line; a frame without one has no
+    bar."""
     time_ms = np.array([frame.at_ms for frame in movie.frames])
     contact = np.array([frame.contact_fraction for frame in movie.frames], np.float64)
     depth_um = np.array([frame.depth_um for frame in movie.frames], np.float64)
@@ -35,7 +36,7 @@ def movie_text(movie: MovieRecord, depth: ColourDepth) -> str:
 
 
 def _bars(time_ms: Float64Array, values: Float64Array, blocks: str) -> str:
-    """Bars from zero to the largest value, at even times; each that of the frame nearest in time."""
+    """Return bars from zero to the largest value, at even times; each that of the frame nearest in time."""
     count = min(BARS, values.size)
     at_ms = np.linspace(time_ms[0], time_ms[-1], count)
     nearest = np.abs(time_ms[None, :] - at_ms[:, None]).argmin(axis=1)
@@ -56,19 +57,20 @@ _WORST_FIRST: Final = ("retake", "doubtful", "good")
 
 
 def shown_level(entry: ScanEntry) -> str:
-    """The verdict's level, or "doubtful" after a failed check of the check standard."""
+    """Return the verdict's level, or "doubtful" after a failed check of the check standard."""
     return "doubtful" if entry.doubt and entry.verdict.level == "good" else entry.verdict.level
 
 
 def scan_line(entry: ScanEntry) -> str:
-    """One line of the history: number, verdict, mark, whether it was offloaded, part."""
+    """Return one line of the history: number, verdict, mark, whether it was offloaded, part."""
     mark = entry.mark.opinion or "" if entry.mark else ""
     sent = "yes" if entry.offloaded else ""
     return f"{entry.counter:>4} {shown_level(entry):<8} {mark:<4} {sent:<4} {entry.annotations.part or ''}"
 
 
 def details_of(entry: ScanEntry, depth: ColourDepth) -> str:
-    """Verdict, annotations, time, offload state and note of a scan, and the press over time where it is a movie."""
+    """Return the verdict, annotations, time, offload state and note of a scan, and the press over time where it is a
+    movie."""
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
     replaced = f" · replaced by #{entry.replaced_by}" if entry.replaced_by is not None else ""
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
@@ -81,7 +83,7 @@ def details_of(entry: ScanEntry, depth: ColourDepth) -> str:
 
 
 def chosen_scans(scans: Iterable[ScanEntry], words: str, order: Order) -> tuple[ScanEntry, ...]:
-    """The scans that hold every one of the words, in that order.
+    """Return the scans that hold every one of the words, in that order.
 
     scans : newest first
     words : number ("#12"), "marked good", "unmarked", "sent", "unsent" or "replaced", whole; or parts of level, date,

@@ -39,20 +39,20 @@ class HeightRange:
 
     @classmethod
     def of(cls, z_um: Float32Array) -> HeightRange:
-        """The range of a map or profile; `MIN_SPAN_UM` around zero without a valid pixel."""
+        """Return the range of a map or profile; `MIN_SPAN_UM` around zero without a valid pixel."""
         z_um = z_um[np.isfinite(z_um)]
         low, high = np.percentile(z_um, (0.5, 99.5)) if z_um.size else (0.0, 0.0)
         lacking = max(MIN_SPAN_UM - (high - low), 0.0) / 2.0
         return cls(float(low) - lacking, float(high) + lacking)
 
     def fraction(self, z_um: Float32Array) -> Float32Array:
-        """Heights as fractions of the range, 0 to 1."""
+        """Return heights as fractions of the range, 0 to 1."""
         span = self.highest_um - self.lowest_um
         return np.asarray(np.clip((z_um - self.lowest_um) / span, 0.0, 1.0), np.float32)
 
 
 def relief_cells(height: HeightMap, heights: HeightRange, shape: tuple[int, int], depth: ColourDepth) -> CellGrid:
-    """Cells of a map, `shape` (rows, columns) of them; invalid ones are hatched."""
+    """Return cells of a map, `shape` (rows, columns) of them; invalid ones are hatched."""
     z_um = resampled(height.z_um, (2 * shape[0], shape[1]))
     valid = np.isfinite(z_um)
     pitch_um = height.pitch_um * height.z_um.shape[1] / shape[1]
@@ -64,13 +64,13 @@ def relief_cells(height: HeightMap, heights: HeightRange, shape: tuple[int, int]
 
 
 def _stretched(brightness: Float32Array, valid: MaskArray) -> Float32Array:
-    """Brightness stretched from 0 to 1 over 96 % of the valid pixels, to use all of the few greys."""
+    """Return the brightness stretched from 0 to 1 over 96 % of the valid pixels, to use all of the few greys."""
     low, high = np.percentile(brightness[valid], (2, 98)) if valid.any() else (0.0, 1.0)
     return np.asarray((brightness - low) / max(high - low, 0.1), np.float32)
 
 
 def lit(z_um: Float32Array, pitch_um: float) -> Float32Array:
-    """Diffuse light from the upper left, 0 to 1, 0.71 where flat; slopes are exaggerated to be visible."""
+    """Return diffuse light from the upper left, 0 to 1, 0.71 where flat; slopes are exaggerated to be visible."""
     q, p = np.gradient(z_um / np.float32(pitch_um)) if min(z_um.shape) > 1 else (z_um * 0.0, z_um * 0.0)
     p, q = np.nan_to_num(p), np.nan_to_num(q)
     steep = float(np.percentile(np.hypot(p, q), 95))
@@ -81,7 +81,7 @@ def lit(z_um: Float32Array, pitch_um: float) -> Float32Array:
 
 
 def height_colours(fraction: Float32Array, shade: Float32Array) -> NDArray[np.int32]:
-    """Colours as 0xRRGGBB.
+    """Return colours as 0xRRGGBB.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ LEGEND_COLUMNS: Final = 9
 
 
 def legend_cells(heights: HeightRange, rows: int, depth: ColourDepth) -> CellGrid:
-    """A bar of all heights, highest on top, with round numbers and the unit above."""
+    """Return a bar of all heights, highest on top, with round numbers and the unit above."""
     cells = CellGrid.empty(rows, LEGEND_COLUMNS, depth)
     if rows < 3:
         return cells
@@ -126,7 +126,8 @@ def _bar(fraction: Float32Array, depth: ColourDepth) -> CellGrid:
 
 
 def length_bar(pitch_um: float, columns: int) -> str:
-    """A bar of a round length with its label, such as "├───┤ 2 mm"; `pitch_um` is the distance of the columns."""
+    """Return a bar of a round length with its label, such as "├───┤ 2 mm"; `pitch_um` is the distance of the
+    columns."""
     if columns < 16:
         return ""
     length_um = round_down(pitch_um * columns / 3.0)
@@ -135,33 +136,33 @@ def length_bar(pitch_um: float, columns: int) -> str:
 
 
 def round_step(span: float, max_parts: int) -> float:
-    """The smallest step of 1, 2 or 5 times a power of ten that divides `span` into at most `max_parts` parts."""
+    """Return the smallest step of 1, 2 or 5 times a power of ten that divides `span` into at most `max_parts` parts."""
     least = span / max(max_parts, 1)
     power = 10.0 ** math.floor(math.log10(least))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= least * (1.0 - 1e-9))
 
 
 def round_down(limit: float) -> float:
-    """The largest of 1, 2 or 5 times a power of ten that does not exceed `limit`."""
+    """Return the largest of 1, 2 or 5 times a power of ten that does not exceed `limit`."""
     power = 10.0 ** math.floor(math.log10(limit) + 1e-9)
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= limit * (1.0 + 1e-9))
 
 
 def ticks(lowest: float, highest: float, max_parts: int) -> list[float]:
-    """Multiples of a round step from lowest to highest, at most `max_parts` + 1."""
+    """Return multiples of a round step from lowest to highest, at most `max_parts` + 1."""
     step = round_step(highest - lowest, max_parts)
     first, last = math.ceil(lowest / step - 1e-9), math.floor(highest / step + 1e-9)
     return [number * step for number in range(first, last + 1)]
 
 
 def height_text(z_um: float) -> str:
-    """A height as the scale shows it, without unit: tenths below 10 µm, otherwise whole µm."""
+    """Return a height as the scale shows it, without unit: tenths below 10 µm, otherwise whole µm."""
     text = f"{z_um:.1f}" if abs(z_um) < 9.95 and z_um != round(z_um) else f"{z_um:.0f}"
     return "0" if text in {"-0", "-0.0"} else text
 
 
 def length_text(length_um: float) -> str:
-    """A length on the skin in a suitable unit, such as "2 mm" or "500 µm"."""
+    """Return a length on the skin in a suitable unit, such as "2 mm" or "500 µm"."""
     return f"{length_um / 1e3:g} mm" if length_um >= 1e3 else f"{length_um:g} µm"
 
 
@@ -191,11 +192,11 @@ class ProfileCursor:
     point: float = 0.5
 
     def moved(self, across: float, along: float) -> ProfileCursor:
-        """The cursor moved by these fractions of the map, kept on it."""
+        """Return the cursor moved by these fractions of the map, kept on it."""
         return ProfileCursor(self.axis, _within(self.line + across), _within(self.point + along))
 
     def turned(self) -> ProfileCursor:
-        """The line through the same point in the other direction."""
+        """Return the line through the same point in the other direction."""
         return ProfileCursor("column" if self.axis == "row" else "row", self.point, self.line)
 
 
@@ -204,13 +205,13 @@ def _within(fraction: float) -> float:
 
 
 def profile_um(height: HeightMap, cursor: ProfileCursor) -> Float32Array:
-    """Heights along the cursor's line: float32 array of shape (n,), µm, NaN where invalid."""
+    """Return heights along the cursor's line: float32 array of shape (n,), µm, NaN where invalid."""
     across = height.z_um if cursor.axis == "row" else height.z_um.T
     return np.asarray(across[round(cursor.line * (len(across) - 1))], np.float32)
 
 
 def reading(height: HeightMap, cursor: ProfileCursor, origin: tuple[int, int] = (0, 0)) -> str:
-    """Position and height at the cursor's point, such as "x 3.20 mm  y 6.10 mm  z 41.5 µm".
+    """Return the position and height at the cursor's point, such as "x 3.20 mm  y 6.10 mm  z 41.5 µm".
 
     origin : row and column of the map's first pixel in the whole
     """
@@ -225,7 +226,8 @@ def reading(height: HeightMap, cursor: ProfileCursor, origin: tuple[int, int] = 
 
 
 def profile_cells(profile: Float32Array, point: float, rows: int, columns: int, depth: ColourDepth) -> CellGrid:
-    """A profile as `columns` bars above its lowest height, with its range in µm at the right and its point below.
+    """Return a profile as `columns` bars above its lowest height, with its range in µm at the right and its point
+    below.
 
     profile : float32 array of shape (n,), µm
     point : position of the cursor's point, 0 to 1

@@ -44,12 +44,12 @@ _COMPASS: Final = (
 
 
 def verdict_word(level: VerdictLevel) -> str:
-    """A verdict's level in capitals."""
+    """Return a verdict's level in capitals."""
     return _LEVELS[level]
 
 
 def age_text(age_s: float) -> str:
-    """An age such as "3 h ago"."""
+    """Return an age such as "3 h ago"."""
     if age_s < _MINUTE:
         return "just now"
     if age_s < _HOUR:
@@ -58,12 +58,12 @@ def age_text(age_s: float) -> str:
 
 
 def local_time(at: datetime) -> str:
-    """Date and time in the instrument's time zone; no date at all from a clock that had never been set."""
+    """Return the date and time in the instrument's time zone; no date at all from a clock that had never been set."""
     return f"{at.astimezone():%Y-%m-%d %H:%M}" if at.year >= MIN_CLOCK_YEAR else "time not known"
 
 
 def clock_text(now: datetime) -> str:
-    """The present local date and time with the time zone; what to do about a clock that was never set."""
+    """Return the present local date and time with the time zone; what to do about a clock that was never set."""
     local = now.astimezone()
     if now.year < MIN_CLOCK_YEAR:
         return "the clock was never set: set it here, or join a network"
@@ -71,17 +71,17 @@ def clock_text(now: datetime) -> str:
 
 
 def percent_text(fraction: float | None) -> str:
-    """A fraction in per cent; a dash if not measured."""
+    """Return a fraction in per cent; a dash if not measured."""
     return "-" if fraction is None else f"{fraction:.0%}"
 
 
 def signed_percent(change: float) -> str:
-    """A relative change to a tenth of a per cent with its sign; one that rounds to 0 has none that is below."""
+    """Return a relative change to a tenth of a per cent with its sign; one that rounds to 0 has none that is below."""
     return f"{round(change, 3) + 0.0:+.1%}"
 
 
 def gauge_text(name: str, fraction: float | None, columns: int, words: str | None = None) -> str:
-    """A name, a bar and a number in `columns`, such as "contact ■■■■····  52%"; `words` replaces the number."""
+    """Return a name, a bar and a number in `columns`, such as "contact ■■■■····  52%"; `words` replaces the number."""
     label, number = f"{name:<9}", f"{words or percent_text(fraction):>6}"
     room = columns - len(label) - len(number)
     if room < 3:
@@ -96,18 +96,18 @@ def sticky_text(sticky: Annotations, beside_part: str = "") -> str:
 
 
 def hanging(text: str, columns: int, indent: int) -> str:
-    """The text wrapped to `columns`, with all lines but the first indented."""
+    """Return the text wrapped to `columns`, with all lines but the first indented."""
     wrapped = textwrap.wrap(text, max(columns, indent + 8), subsequent_indent=" " * indent, drop_whitespace=True)
     return "\n".join(wrapped) or text
 
 
 def shortened(text: str, columns: int) -> str:
-    """The text, cut with an ellipsis if it does not fit."""
+    """Return the text, cut with an ellipsis if it does not fit."""
     return text if len(text) <= columns else text[: max(columns - 1, 0)] + "…"
 
 
 def coverage_lines(coverage: Coverage | None) -> list[str]:
-    """Lines for the covered sectors, slope directions and steepest slope; None before the first ball."""
+    """Return lines for the covered sectors, slope directions and steepest slope; None before the first ball."""
     sectors = list(coverage.sectors.values()) if coverage else [False] * SIDES**2
     directions = coverage.directions if coverage else dict.fromkeys(DIRECTIONS, False)
     field = [" ".join(_sign(covered) for covered in sectors[SIDES * row : SIDES * (row + 1)]) for row in range(SIDES)]
@@ -119,7 +119,7 @@ def coverage_lines(coverage: Coverage | None) -> list[str]:
 
 
 def check_lines(checks: tuple[Check, ...]) -> list[str]:
-    """One line per acceptance check, with its value, its limit and a word."""
+    """Return one line per acceptance check, with its value, its limit and a word."""
     return [f"{'pass' if check.passed else 'FAIL'}  {check.name}: {check.words}" for check in checks]
 
 
@@ -145,7 +145,7 @@ _ADVICE: Final = (
 
 
 def screen_advice(sentence: str) -> str:
-    """The sentence with every command that the screens can do themselves replaced by key and place."""
+    """Return the sentence with every command that the screens can do themselves replaced by key and place."""
     for pattern, instead in _ADVICE:
         sentence = re.sub(pattern, instead, sentence)
     return sentence
@@ -158,7 +158,8 @@ COVERAGE: Final = 2.0
 
 
 def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> str:
-    """Height difference, distance and angle with ±, roughness of the line and of the box between two points."""
+    """Return the height difference, distance and angle with ±, roughness of the line and of the box between two
+    points."""
     found = difference(height, first, second, flatness_um)
     has_heights = bool(np.isfinite(found.dz_um))
     dz = f"dz {found.dz_um:.1f}{_pm(found.dz_sigma_um, 1)} µm" if has_heights else "dz unknown: no height at a point"
@@ -174,7 +175,7 @@ def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: fl
 
 
 def box_between(height: HeightMap, first: Point, second: Point) -> np.ndarray:
-    """The heights of the box with these corners, both included: float32 array of shape (h, w)."""
+    """Return the heights of the box with these corners, both included: float32 array of shape (h, w)."""
     top, bottom = sorted((round(first[0]), round(second[0])))
     left, right = sorted((round(first[1]), round(second[1])))
     return height.z_um[top : bottom + 1, left : right + 1]

@@ -205,7 +205,7 @@ class RetroscanApp(App[str]):
             screen.show_live(self.instrument.state)
 
     def now_ns(self) -> int:
-        """Monotonic time of the machine, in which pairing windows end."""
+        """Return monotonic time of the machine, in which pairing windows end."""
         return time.monotonic_ns()
 
     def report_failure(self, sentence: str) -> None:
@@ -366,13 +366,13 @@ class RetroscanApp(App[str]):
             await self.go(place_after(screen.PLACE))
 
     def _current(self) -> InstrumentScreen | None:
-        """The instrument's screen, also behind a dialog."""
+        """Return the instrument's screen, also behind a dialog."""
         screens = (screen for screen in self.screen_stack if isinstance(screen, InstrumentScreen))
         return next((screen for screen in screens if screen.is_mounted), None)
 
 
 def notice_for(event: Event) -> Notice | None:
-    """The notice for an event; None keeps the last one."""
+    """Return the notice for an event; None keeps the last one."""
     match event:
         case CaptureDone():
             return Notice("You may lift.", "success")

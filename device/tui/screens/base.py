@@ -55,7 +55,7 @@ class InstrumentScreen(Screen[None]):
         yield KeyHints()
 
     def body(self) -> Iterable[Widget]:
-        """The widgets between navigation and notice."""
+        """Return the widgets between navigation and notice."""
         raise NotImplementedError
 
     def show_state(self, state: InstrumentState, notice: Notice | None) -> None:

@@ -105,7 +105,7 @@ class CalibrationScreen(InstrumentScreen):
         self.instrument.cancel_run()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """The ball can be chosen before a calibration, stopping is possible during one."""
+        """Return the ball can be chosen before a calibration, stopping is possible during one."""
         running = self._is_running(self.instrument.state)
         if action in {"radius", "stop"}:
             return running == (action == "stop")
@@ -131,7 +131,7 @@ class CalibrationScreen(InstrumentScreen):
         return f"Ball of {self._radius_mm:g} mm radius (key r: another). Push the button to start."
 
     def _details(self, guide: CalibrationProgress | None) -> list[tuple[str, int]]:
-        """Lines, each with the indent of its continuation lines."""
+        """Return lines, each with the indent of its continuation lines."""
         if guide is None:
             return [(line, 0) for line in _INTRODUCTION]
         if guide.is_over:
@@ -142,7 +142,7 @@ class CalibrationScreen(InstrumentScreen):
         return [(line, 2) for line in self._last_press(guide)]
 
     def _last_press(self, guide: CalibrationProgress) -> list[str]:
-        """Lines on the last press."""
+        """Return lines on the last press."""
         pitch_mm = self.retroscan.pitch_um * 1e-3
         found = [
             f"Ball found, contact diameter {2.0 * ball.contact_radius_px * pitch_mm:.1f} mm." for ball in guide.circles
@@ -152,7 +152,7 @@ class CalibrationScreen(InstrumentScreen):
         return [*found, *refused, *(guide.next_presses if is_ending else ())]
 
     def _aimed_radius(self) -> float:
-        """Contact radius to aim for, as a fraction of the field's columns."""
+        """Return contact radius to aim for, as a fraction of the field's columns."""
         return _CONTACT_FRACTION * self._radius_mm / (self.retroscan.field_um * 1e-3)
 
     @staticmethod
@@ -161,7 +161,7 @@ class CalibrationScreen(InstrumentScreen):
 
 
 def circles_of(guide: CalibrationProgress | None, live: LivePicture, aimed: float) -> tuple[Circle, ...]:
-    """The circles to draw: found and refused ones of the last press, and the next place."""
+    """Return the circles to draw: found and refused ones of the last press, and the next place."""
     if guide is None or guide.is_over:
         return ()
     rows, columns = (size * live.step for size in live.picture.shape[:2])

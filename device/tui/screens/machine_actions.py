@@ -60,7 +60,7 @@ class MachineActions:
             self._read(partial(_sentence_of, facts), partial(self._keep, name))
 
     def panel(self, name: ActionName, meaning: str, now: datetime, columns: int) -> str:
-        """The panel of a setting: its present state, and its meaning."""
+        """Return the panel of a setting: its present state, and its meaning."""
         facts = [self._facts.get(name, "...")]
         if name == "clock":
             facts = [clock_text(now), *facts]
@@ -178,7 +178,7 @@ class MachineActions:
 
 
 def _sentence_of(facts: Callable[[], str]) -> str:
-    """Facts for a panel, or why there are none."""
+    """Return facts for a panel, or why there are none."""
     try:
         return facts()
     except DeviceError as error:

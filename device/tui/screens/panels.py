@@ -50,7 +50,7 @@ class ProgramInfo:
 def instrument_panel(
     state: InstrumentState, program: ProgramInfo, network: NetworkInfo | None, columns: int, now: datetime
 ) -> str:
-    """All facts about the instrument, for support."""
+    """Return all facts about the instrument, for support."""
     calibration, gel = state.calibration, state.gel
     error = "" if calibration.held_out_deg is None else f", error {calibration.held_out_deg:.1f} degrees"
     left = "unknown" if state.scans_left is None else f"room for {state.scans_left} more"
@@ -102,7 +102,7 @@ def lights_text(health: HealthState) -> str:
 
 
 def skin_text(health: HealthState) -> str:
-    """Defects of the skin, and how flat the last zero check read."""
+    """Return defects of the skin, and how flat the last zero check read."""
     fraction = health.defect_fraction
     defects = "not measured yet" if fraction is None else f"{fraction:.1%} of the skin has defects"
     return defects if health.flat_residual_um is None else f"{defects}, flat to {health.flat_residual_um:.1f} µm"
@@ -127,8 +127,8 @@ CHART_ROWS: Final = 7
 
 
 def check_panel(check: CheckState, columns: int) -> str:
-    """The check standard, today's state, and a chart of its checks: one column per check, the certified value in the
-    middle row."""
+    """Return the check standard, today's state, and a chart of its checks: one column per check, the certified value in
+    the middle row."""
     standard = check.standard
     if standard is None:
         return "Enter the certified ball, step or roughness specimen that shows each day that results are right."
@@ -167,7 +167,7 @@ def _deviation_um(check: CheckRecord) -> float:
 
 
 def _chart_cell(check: CheckRecord, row: int, reach: float) -> str:
-    """A check's sign if its deviation falls into this row of the chart."""
+    """Return a check's sign if its deviation falls into this row of the chart."""
     place = _deviation_um(check) / reach * CHART_ROWS
     inside = row - 1 <= place < row + 1 or (row == CHART_ROWS and place >= row)
     return ("o" if check.passed else "x") if inside else " "
@@ -181,7 +181,7 @@ def focus_panel(focus: FocusReading, columns: int) -> str:
 
 
 def selftest_panel(findings: Sequence[Finding], is_running: bool, columns: int) -> str:
-    """The findings so far, each with its state."""
+    """Return the findings so far, each with its state."""
     lines = [
         hanging(f"{_state(finding):<5}{finding.part}: {screen_advice(finding.sentence)}", columns, 5)
         for finding in findings
@@ -197,7 +197,7 @@ def _state(finding: Finding) -> str:
 
 
 def _breakable(fingerprint: str, columns: int) -> str:
-    """The fingerprint, with a blank to break at if it does not fit on a line."""
+    """Return the fingerprint, with a blank to break at if it does not fit on a line."""
     return fingerprint if len(fingerprint) + _LABEL <= columns else fingerprint.replace(":", ": ", 1)
 
 
@@ -218,7 +218,7 @@ def _network_lines(network: NetworkInfo | None, columns: int) -> list[tuple[str,
 
 
 def battery_text(state: InstrumentState, *, has_gauge: bool) -> str:
-    """Supply and battery in words; `has_gauge` as the board profile says."""
+    """Return the supply and battery in words; `has_gauge` as the board profile says."""
     power = state.power
     if power.under_voltage:
         return "the supply voltage is too low: use a stronger supply"
@@ -228,7 +228,7 @@ def battery_text(state: InstrumentState, *, has_gauge: bool) -> str:
 
 
 def state_text(state: InstrumentState, columns: int) -> str:
-    """The most important facts first; what does not fit is cut."""
+    """Return the most important facts first; what does not fit is cut."""
     parts = [_room(state), _battery(state.power), calibration_text(state.calibration), f"gel {state.gel.gel_id}"]
     if state.processing:
         parts.insert(1, f"{state.processing} processing")
@@ -241,7 +241,7 @@ def state_text(state: InstrumentState, columns: int) -> str:
 
 
 def calibration_text(calibration: CalibrationState) -> str:
-    """The age of the active calibration, such as "calibrated 3 h ago"."""
+    """Return the age of the active calibration, such as "calibrated 3 h ago"."""
     if calibration.calibration_id is None:
         return "not calibrated"
     if calibration.age_s is None:
@@ -272,7 +272,7 @@ _MEANING: Final = (
 
 
 def exposure_panel(state: InstrumentState, columns: int) -> str:
-    """Light on the skin, and what an exposure balance is to do, does or has found."""
+    """Return the light on the skin, and what an exposure balance is to do, does or has found."""
     names = list(state.health.light_change)
     bars, balance = level_lines(state, names, min(columns, MAX_BAR_COLUMNS)), state.balance
     if state.activity == "balancing" and balance:
@@ -288,7 +288,7 @@ def exposure_panel(state: InstrumentState, columns: int) -> str:
 
 
 def level_lines(state: InstrumentState, names: Sequence[str], columns: int) -> list[str]:
-    """A bar for each light, and what is saturated."""
+    """Return a bar for each light, and what is saturated."""
     found = state.levels
     if found is None:
         return ["Waiting for the camera."]
@@ -298,7 +298,7 @@ def level_lines(state: InstrumentState, names: Sequence[str], columns: int) -> l
 
 
 def plan_text(plan: CaptureSettings) -> str:
-    """Exposure and currents in a line."""
+    """Return the exposure and currents in a line."""
     currents = ", ".join(f"{name} {current:.1f}" for name, current in plan.currents_ma.items())
     return f"{plan.settings.exposure_us:.0f} µs; {currents} mA"
 

@@ -51,7 +51,7 @@ def view_picture(height: HeightMap, title: str, terminal: TextIO) -> bool:
 
 
 def picture_text(height: HeightMap, title: str, graphics: Graphics) -> str:
-    """The text that shows the relief on a cleared terminal, with its scale below."""
+    """Return the text that shows the relief on a cleared terminal, with its scale below."""
     rows, columns = height.z_um.shape
     heights = HeightRange.of(height.z_um)
     width_mm, height_mm = columns * height.pitch_um * 1e-3, rows * height.pitch_um * 1e-3
@@ -63,7 +63,7 @@ def picture_text(height: HeightMap, title: str, graphics: Graphics) -> str:
 
 
 def relief_picture(height: HeightMap) -> NDArray[np.uint8]:
-    """The shaded relief in colour: uint8 array of shape (h, w, 3), R, G, B; invalid pixels are grey."""
+    """Return the shaded relief in colour: uint8 array of shape (h, w, 3), R, G, B; invalid pixels are grey."""
     heights = HeightRange.of(height.z_um)
     packed = height_colours(heights.fraction(height.z_um), 0.35 + 0.9 * lit(height.z_um, height.pitch_um))
     picture = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=-1).astype(np.uint8)
@@ -90,7 +90,7 @@ def _unbuffered(descriptor: int) -> Iterator[Read]:
 
 
 def _answer(read: Read) -> str:
-    """The terminal's answers up to the end of the last one."""
+    """Return the terminal's answers up to the end of the last one."""
     answer = ""
     while not answer.endswith("c") and (more := read(ANSWER_TIMEOUT_S)):
         answer += more
@@ -112,7 +112,7 @@ _LEVELS: Final = 16
 
 
 def graphics_of(answer: str) -> Graphics | None:
-    """The graphics protocol of a terminal, from its answer to both queries; None without one."""
+    """Return the graphics protocol of a terminal, from its answer to both queries; None without one."""
     if "\x1b_Gi=31;OK" in answer:
         return "kitty"
     _, found, attributes = answer.rpartition("\x1b[?")
@@ -120,12 +120,12 @@ def graphics_of(answer: str) -> Graphics | None:
 
 
 def encoded(picture: NDArray[np.uint8], graphics: Graphics) -> str:
-    """A picture, uint8 array of shape (h, w, 3), R, G, B, as the text that draws it on a terminal."""
+    """Return a picture, uint8 array of shape (h, w, 3), R, G, B, as the text that draws it on a terminal."""
     return _kitty(picture) if graphics == "kitty" else _sixel(picture)
 
 
 def _kitty(picture: NDArray[np.uint8]) -> str:
-    """A PNG in base64, in chunks of the protocol's maximum size."""
+    """Return a PNG in base64, in chunks of the protocol's maximum size."""
     png = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
     data = base64.b64encode(png).decode()
     pieces = [data[start : start + _CHUNK] for start in range(0, len(data), _CHUNK)]
@@ -138,7 +138,7 @@ def _kitty(picture: NDArray[np.uint8]) -> str:
 
 
 def _sixel(picture: NDArray[np.uint8]) -> str:
-    """Bands of six rows, each with one line per colour in it."""
+    """Return bands of six rows, each with one line per colour in it."""
     rows, columns = picture.shape[:2]
     colours, place = _palette(picture)
     padded = np.full((-(-rows // 6) * 6, columns), -1, np.int32)
@@ -149,7 +149,7 @@ def _sixel(picture: NDArray[np.uint8]) -> str:
 
 
 def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The most frequent colours as levels of shape (n, 3), and for each pixel the index of the nearest one."""
+    """Return the most frequent colours as levels of shape (n, 3), and for each pixel the index of the nearest one."""
     level = (picture.astype(np.int32) * (_LEVELS - 1) + 127) // 255
     code = (level[..., 0] * _LEVELS + level[..., 1]) * _LEVELS + level[..., 2]
     present, place, count = np.unique(code, return_inverse=True, return_counts=True)
@@ -160,18 +160,18 @@ def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.
 
 
 def _levels_of(code: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Levels of red, green and blue, shape (n, 3)."""
+    """Return levels of red, green and blue, shape (n, 3)."""
     return np.stack([code // _LEVELS**2, code // _LEVELS % _LEVELS, code % _LEVELS], axis=-1)
 
 
 def _palette_entry(number: int, levels: list[int]) -> str:
-    """A palette entry with red, green and blue in per cent."""
+    """Return a palette entry with red, green and blue in per cent."""
     red, green, blue = (round(100 * level / (_LEVELS - 1)) for level in levels)
     return f"#{number};2;{red};{green};{blue}"
 
 
 def _band(band: NDArray[np.int32]) -> str:
-    """Six rows; each colour draws its pixels over the same band."""
+    """Return six rows; each colour draws its pixels over the same band."""
     bits = (1 << np.arange(6, dtype=np.int32))[:, np.newaxis]
     lines = []
     for number in np.unique(band[band >= 0]).tolist():
@@ -181,7 +181,7 @@ def _band(band: NDArray[np.int32]) -> str:
 
 
 def _run_lengths(sixels: NDArray[np.int_]) -> str:
-    """Runs of equal sixels as `!count` and a letter."""
+    """Return runs of equal sixels as `!count` and a letter."""
     ends = [*(np.flatnonzero(np.diff(sixels)) + 1).tolist(), len(sixels)]
     starts = [0, *ends[:-1]]
     return "".join(f"!{end - start}{chr(63 + int(sixels[start]))}" for start, end in zip(starts, ends, strict=True))

@@ -83,7 +83,7 @@ class ScanScreen(InstrumentScreen):
         self._sticky = Words(id="sticky", markup=False)
 
     def body(self) -> Iterable[Widget]:
-        """Live picture and gauges; quick look and verdict; cue; annotations."""
+        """Return the live picture and gauges; quick look and verdict; cue; annotations."""
         with Horizontal(id="pictures"):
             with Vertical(id="live-side"):
                 yield self._live
@@ -255,7 +255,7 @@ class ScanScreen(InstrumentScreen):
 
 
 def verdict_text(last: LastScan) -> Content:
-    """Number, level and reason of a scan."""
+    """Return the number, level and reason of a scan."""
     level = last.verdict.level
     return Content.assemble(
         (f"{verdict_word(level)} ", _VERDICT_STYLE[level]),
@@ -265,13 +265,13 @@ def verdict_text(last: LastScan) -> Content:
 
 
 def spot_text(spot: SpotState) -> Content:
-    """The way to an earlier scan's spot."""
+    """Return the way to an earlier scan's spot."""
     style = "$success bold" if spot.is_reached else "bold"
     return Content.assemble((f"TO #{spot.counter} ", style), spot.sentence)
 
 
 def area_text(area: AreaState, last: LastScan | None) -> Content:
-    """The last scan's verdict in a word, what is covered, and the way to the next press."""
+    """Return the last scan's verdict in a word, what is covered, and the way to the next press."""
     if last is None:
         return Content(area.sentence)
     level = last.verdict.level
@@ -311,7 +311,7 @@ def cue_text(state: InstrumentState) -> str:
 
 
 def idle_sentence(state: InstrumentState) -> str:
-    """Why there is no live picture."""
+    """Return why there is no live picture."""
     return screen_advice(state.sentence) or "Lights off: push the button."
 
 

@@ -62,7 +62,7 @@ class ScansScreen(InstrumentScreen):
         self._shown: str | None = None
 
     def body(self) -> Iterable[Widget]:
-        """The list on the left; relief and details on the right."""
+        """Return the list on the left; relief and details on the right."""
         with Horizontal(id="review"):
             with Vertical(id="history-side"):
                 yield self._heading

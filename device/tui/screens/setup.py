@@ -57,7 +57,7 @@ class SetUpScreen(InstrumentScreen):
         self._machine = MachineActions(self, instrument.machine, self._read)
 
     def body(self) -> Iterable[Widget]:
-        """The list and the panel."""
+        """Return the list and the panel."""
         with Horizontal(id="set-up"):
             yield self._actions_list
             with VerticalScroll(id="panel-side", can_focus=False):
@@ -237,7 +237,7 @@ class SetUpScreen(InstrumentScreen):
             self.instrument.set_standard(_standard(kind, fields))
 
     def _known_gels(self) -> list[str]:
-        """Gels that were mounted here, or have a calibration here."""
+        """Return gels that were mounted here, or have a calibration here."""
         mounted = {self.instrument.state.gel.gel_id} | {gel.gel_id for gel in self.instrument.gels()}
         return sorted(mounted | {known.bundle.record.gel_id for known in self.instrument.calibrations()})
 

@@ -9,7 +9,7 @@ from device.tui.drawing.cells import ColourDepth
 
 
 def themes_for(depth: ColourDepth) -> dict[Display, Theme]:
-    """The dark and the light theme for a terminal's colours; the light one is for the sun: black on white.
+    """Return the dark and the light theme for a terminal's colours; the light one is for the sun: black on white.
 
     Nothing depends on colour: chosen lines are reversed, important text is bold or has a word.
     """

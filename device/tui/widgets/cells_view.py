@@ -44,7 +44,7 @@ class CellsView(Widget):
         self._cells: CellGrid | None = None
 
     def draw(self, room: Room) -> CellGrid:
-        """The widget's cells, which fill the room."""
+        """Return the widget's cells, which fill the room."""
         raise NotImplementedError
 
     def on_resize(self, _event: Resize) -> None:
@@ -52,14 +52,14 @@ class CellsView(Widget):
         self._lines = None
 
     def render_line(self, y: int) -> Strip:
-        """A row of the picture."""
+        """Return a row of the picture."""
         if self._lines is None:
             self._cells = self.draw(self.room(self.size.height, self.size.width))
             self._lines = to_strips(self._cells, self.rich_style)
         return self._lines[y] if y < len(self._lines) else Strip.blank(self.size.width, self.rich_style)
 
     def room(self, rows: int, columns: int) -> Room:
-        """Cells for a picture, in the terminal's colours."""
+        """Return cells for a picture, in the terminal's colours."""
         return Room(rows, columns, self._depth)
 
     def redraw_changes(self) -> None:
@@ -86,7 +86,7 @@ class CellsView(Widget):
 
 
 def to_strips(cells: CellGrid, base: Style) -> list[Strip]:
-    """One strip per row, a segment per run of equal style; `base` shows where cells have default colours."""
+    """Return one strip per row, a segment per run of equal style; `base` shows where cells have default colours."""
     return [_strip(cells, row, base) for row in range(cells.shape[0])]
 
 
@@ -144,12 +144,12 @@ class LiveView(CellsView):
             self.redraw_changes()
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
-        """The picture's height, so that the next widget follows directly."""
+        """Return the picture's height, so that the next widget follows directly."""
         rows = max(container.height - self._below, 1)
         return rows if self._picture is None else fitted_shape(self._picture.shape[:2], rows, max(width, 1))[0]
 
     def draw(self, room: Room) -> CellGrid:
-        """The picture centred in the room, or the sentence."""
+        """Return the picture centred in the room, or the sentence."""
         if self._picture is None:
             return sentence_cells(self._sentence, room)
         self._colours = shown_colours(self._picture, max(room.rows, 1), max(room.columns, 1), self._colours)
@@ -291,33 +291,33 @@ class HeightView(CellsView, can_focus=True):
             self._measure()
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:  # noqa: ARG002
-        """The picture's height, so that the next widget follows directly."""
+        """Return the picture's height, so that the next widget follows directly."""
         room = self.room(max(container.height - self._below, 1), max(width, 1))
         return room.rows if self._height is None else picture_rows(self._shown(), room, self._cursor)
 
     def draw(self, room: Room) -> CellGrid:
-        """The picture of the map, or the sentence."""
+        """Return the picture of the map, or the sentence."""
         if self._height is None:
             return sentence_cells(self._sentence, room)
         origin = self._window()[:2] if self._zoom > 1.0 else (0, 0)
         return height_picture(self._shown(), room, self._shown_cursor(), origin)
 
     def _map(self) -> HeightMap:
-        """The map, levelled if that is wanted."""
+        """Return the map, levelled if that is wanted."""
         found = self._level or self._height
         if found is None:
             raise ValueError("there is no map")
         return found
 
     def _point(self) -> Point:
-        """The cursor's point, row and column in pixels of the map."""
+        """Return the cursor's point, row and column in pixels of the map."""
         cursor = self._cursor or ProfileCursor()
         row, column = (cursor.line, cursor.point) if cursor.axis == "row" else (cursor.point, cursor.line)
         rows, columns = self._map().z_um.shape
         return float(round(row * (rows - 1))), float(round(column * (columns - 1)))
 
     def _window(self) -> tuple[int, int, int, int]:
-        """First row and column, and size, of what is shown: about the cursor, within the map."""
+        """Return the first row and column, and size, of what is shown: about the cursor, within the map."""
         rows, columns = self._map().z_um.shape
         height, width = max(round(rows / self._zoom), 2), max(round(columns / self._zoom), 2)
         row, column = self._point()
@@ -326,7 +326,7 @@ class HeightView(CellsView, can_focus=True):
         return top, left, height, width
 
     def _shown(self) -> HeightMap:
-        """The part of the map that is shown."""
+        """Return the part of the map that is shown."""
         found = self._map()
         if self._zoom <= 1.0:
             return found
@@ -334,7 +334,7 @@ class HeightView(CellsView, can_focus=True):
         return HeightMap(found.z_um[top : top + height, left : left + width], found.pitch_um)
 
     def _shown_cursor(self) -> ProfileCursor | None:
-        """The cursor on the part that is shown."""
+        """Return the cursor on the part that is shown."""
         if self._cursor is None or self._zoom <= 1.0:
             return self._cursor
         (row, column), (top, left, height, width) = self._point(), self._window()
@@ -343,7 +343,7 @@ class HeightView(CellsView, can_focus=True):
         return ProfileCursor(self._cursor.axis, line, point)
 
     def _whole(self, row: float, column: float) -> tuple[float, float]:
-        """A place on the shown part, fractions, as fractions of the whole map."""
+        """Return a place on the shown part, fractions, as fractions of the whole map."""
         if self._zoom <= 1.0:
             return row, column
         top, left, height, width = self._window()

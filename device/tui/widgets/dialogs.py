@@ -68,7 +68,7 @@ class FieldsDialog(Dialog[dict[str, str] | None]):
         self._check = check
 
     def compose(self) -> ComposeResult:
-        """The fields and two buttons."""
+        """Return the fields and two buttons."""
         with Vertical(classes="dialog"):
             yield Static(self._title, classes="dialog-title", markup=False)
             for name, text in self._fields.items():
@@ -132,7 +132,7 @@ class KeysDialog(Dialog[None]):
         self.keys = keys
 
     def compose(self) -> ComposeResult:
-        """One line per key."""
+        """Return one line per key."""
         with Vertical(classes="dialog"):
             yield Static("Keys of this screen", classes="dialog-title", markup=False)
             with VerticalScroll(classes="dialog-keys"):
@@ -159,7 +159,7 @@ class ConfirmDialog(Dialog[bool]):
         self._question, self._yes = question, yes
 
     def compose(self) -> ComposeResult:
-        """The question and two buttons."""
+        """Return the question and two buttons."""
         with Vertical(classes="dialog"):
             yield Static(self._question, classes="dialog-title", markup=False)
             with Horizontal(classes="dialog-buttons"):
@@ -189,7 +189,7 @@ class ChoiceDialog(Dialog[int]):
         self._list = ChoiceList(lines, chosen)
 
     def compose(self) -> ComposeResult:
-        """The title, the list and a hint."""
+        """Return the title, the list and a hint."""
         with Vertical(classes="dialog"):
             yield Static(self._title, classes="dialog-title", markup=False)
             yield self._list
@@ -208,7 +208,7 @@ class ChoiceDialog(Dialog[int]):
 
 
 def _framed(word: str) -> Content:
-    """A button's label in brackets, so that it is visible as a button without colour."""
+    """Return a button's label in brackets, so that it is visible as a button without colour."""
     return Content(f"[ {word} ]")
 
 
@@ -286,7 +286,7 @@ class LineList(ScrollView, can_focus=True):
         self.virtual_size = Size(self.size.width, len(self._lines))
 
     def render_line(self, y: int) -> Strip:
-        """One line."""
+        """Return one line."""
         row, width = y + self.scroll_offset.y, self.size.width
         if row >= len(self._lines):
             return Strip.blank(width, self.rich_style)

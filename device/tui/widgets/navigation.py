@@ -53,7 +53,7 @@ _STYLES: Final[dict[Severity, str]] = {"info": "", "success": "$success", "error
 
 
 def place_after(place: Place) -> Place:
-    """The next screen in the bar, opened by a long push of the button."""
+    """Return the next screen in the bar, opened by a long push of the button."""
     names = [name for name, _ in PLACES]
     return names[(names.index(place) + 1) % len(names)]
 
@@ -72,7 +72,7 @@ class NavigationBar(Horizontal):
         self._device = Words(id="device-name", markup=False)
 
     def compose(self) -> ComposeResult:
-        """One item per screen, and the name of the device."""
+        """Return one item per screen, and the name of the device."""
         for number, (place, title) in enumerate(PLACES, start=1):
             yield NavigationItem(place, number, title, place == self._current)
         yield self._device
@@ -102,7 +102,7 @@ class KeyHints(Horizontal):
     _shown: dict[str, Binding] | None = None
 
     def compose(self) -> ComposeResult:
-        """One hint per key, as many as fit."""
+        """Return one hint per key, as many as fit."""
         self._shown = self._active()
         hints = {
             action: KeyHint(self.app.get_key_display(binding), binding.description, binding.key)
@@ -125,7 +125,7 @@ class KeyHints(Horizontal):
             self.call_after_refresh(self.recompose)
 
     def _active(self) -> dict[str, Binding]:
-        """The bindings that have a hint, by action."""
+        """Return the bindings that have a hint, by action."""
         shown: dict[str, Binding] = {}
         for active in self.screen.active_bindings.values():
             if active.enabled and active.binding.show:

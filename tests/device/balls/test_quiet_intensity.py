@@ -33,7 +33,7 @@ def press(ball: Ball, seed: int) -> NormalizedImage:
 
 @pytest.fixture(scope="module")
 def samples() -> BallSamples:
-    return gather_samples([(press(ball, seed), [ball]) for seed, ball in enumerate(BALLS)], to_teach=True)
+    return gather_samples([(press(ball, seed), [ball]) for seed, ball in enumerate(BALLS)], for_fit=True)
 
 
 def test_noise_is_averaged_and_the_ball_is_kept(samples: BallSamples) -> None:

@@ -166,7 +166,7 @@ def test_a_press_that_does_not_show_the_standard_is_refused_and_is_no_failure(
             others: list[tuple[Surface, float]] = [
                 (surface, depth) for other, (_, surface, depth) in STANDARDS.items() if other != kind
             ]
-            # A coin's engraving resembles a roughness specimen, and cannot be told from it.
+            # A coin's engraving resembles a roughness specimen, and cannot be distinguished from it.
             for surface, depth_mm in (above, flat, *others, *([] if kind == "roughness" else [coin])):
                 sentence = refusal(instrument, bench, standard, surface, depth_mm)
                 assert sentence.startswith("no standard seen: "), (kind, surface, sentence)

@@ -32,7 +32,7 @@ def located(lamps: NearLamps, *, seen_at: float = 1.0) -> list[UsedPress]:
 
 def inverse_of(presses: Sequence[UsedPress]) -> InverseFit:
     every = [ball for press in presses for ball in press.balls]
-    samples = gather_samples([(press.intensity, press.balls) for press in presses], to_teach=True)
+    samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
     return fit_inverse_map(samples, every, SHAPE, max_samples=6_000)
 
 

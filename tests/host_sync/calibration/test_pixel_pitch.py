@@ -64,10 +64,10 @@ def test_the_pitch_varies_over_a_field_in_perspective_and_not_over_a_flat_one() 
 
 def test_a_true_pitch_is_not_contradicted_and_a_wrong_one_is_named() -> None:
     readings = [read(seed) for seed in range(3)]
-    assert join_readings(PITCH_UM, readings).contradiction == ""
+    assert join_readings(PITCH_UM, readings).disagreement == ""
     pitch = join_readings(1.02 * PITCH_UM, readings)
     assert pitch.pitch_um == pytest.approx(PITCH_UM, rel=2e-4)
-    assert "10.2 µm is +2.0" in pitch.contradiction
+    assert "10.2 µm is +2.0" in pitch.disagreement
     with pytest.raises(CalibrationError, match=r"10 ± 0\.\d+ µm, and 12 µm is stated \(\+20%\)"):
         join_readings(12.0, readings)
 

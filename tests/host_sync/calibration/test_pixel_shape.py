@@ -70,7 +70,7 @@ def test_square_pixels_are_found_square() -> None:
     shape = shape_of(1.0)
     assert shape is not None
     assert shape.ratio == pytest.approx(1.0, abs=0.01)
-    assert shape.contradiction(20.0) == ""
+    assert shape.disagreement(20.0) == ""
 
 
 @pytest.mark.parametrize("rows_kept", [0.92, 0.85])
@@ -78,14 +78,14 @@ def test_a_stream_that_was_resized_is_contradicted_with_the_figure(rows_kept: fl
     shape = shape_of(rows_kept)
     assert shape is not None
     assert shape.ratio == pytest.approx(1.0 / rows_kept, abs=shape.sigma)
-    assert f"{shape.ratio:.3f} ± {shape.sigma:.3f}" in shape.contradiction(20.0)
-    assert f"pixel_pitch_um = [20, {20.0 * shape.ratio:.4g}]" in shape.contradiction(20.0)
+    assert f"{shape.ratio:.3f} ± {shape.sigma:.3f}" in shape.disagreement(20.0)
+    assert f"pixel_pitch_um = [20, {20.0 * shape.ratio:.4g}]" in shape.disagreement(20.0)
 
 
 def test_skin_that_the_map_misreads_leaves_a_doubt_and_accuses_nobody() -> None:
     doubtful = PixelShape(0.9, 0.15, 6)
-    assert doubtful.contradiction(20.0).startswith("the shape of pixels is not confirmed: by the skin around 6 balls")
-    assert "0.90 ± 0.30" in doubtful.contradiction(20.0)
+    assert doubtful.disagreement(20.0).startswith("the shape of pixels is not confirmed: by the skin around 6 balls")
+    assert "0.90 ± 0.30" in doubtful.disagreement(20.0)
     assert doubtful.off <= doubtful.allowed
 
 
@@ -93,7 +93,7 @@ def test_skin_that_the_map_misreads_leaves_a_doubt_and_accuses_nobody() -> None:
 def test_a_shape_that_is_a_twentieth_off_passes_with_the_figure(ratio: float) -> None:
     shape = PixelShape(ratio, 0.031, 12)
     assert shape.off <= shape.allowed
-    assert f"is {ratio:.2f} ± 0.06 of the stated" in shape.contradiction(20.0)
+    assert f"is {ratio:.2f} ± 0.06 of the stated" in shape.disagreement(20.0)
 
 
 def test_derivatives_that_disagree_raise_the_uncertainty() -> None:
@@ -120,7 +120,7 @@ def test_two_stated_pitches_confirm_the_shape(stated: bool, monkeypatch: pytest.
     failed = (Check(PIXEL_SHAPE, 0.25, 0.05, "at most"), Check("balls used", 5.0, 4.0, "at least"))
     scale = ScaleUncertainty(None, None, None, None, ())
     shape = PixelShape(1.2, 0.02, 9)
-    notes = ("a note", shape.contradiction(20.0))
+    notes = ("a note", shape.disagreement(20.0))
     made = Made(Assessment(None, scale, None, failed, notes, shape))  # type: ignore[arg-type]
     monkeypatch.setattr("host_sync.calibration.frames.calibrate_lights", lambda *_, **__: made)
     monkeypatch.setattr("host_sync.calibration.frames.identified", lambda calibration: calibration)

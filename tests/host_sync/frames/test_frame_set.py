@@ -331,8 +331,8 @@ name = "blue"
 
 def test_lamps_stand_where_the_file_says(write: Write) -> None:
     found = load_frame_set(write(GOOD + LAMPS + "position_mm = [18.0, 10.0, 12.0]\n"))
-    assert found.lamps_mm == ((0.0, -20.0, 12.0), (-18.0, 10.0, 12.0), (18.0, 10.0, 12.0))
-    assert load_frame_set(write(GOOD)).lamps_mm == ()
+    assert found.lights_mm == ((0.0, -20.0, 12.0), (-18.0, 10.0, 12.0), (18.0, 10.0, 12.0))
+    assert load_frame_set(write(GOOD)).lights_mm == ()
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def unlike_lamps(ball: Ball, seed: int) -> NormalizedImage:
 
 def fitted(images: Sequence[NormalizedImage], positions: np.ndarray | None = None) -> FittedLight:
     """Return the fit to the moved balls; as the renderers have it no light comes from skin around."""
-    samples = gather_samples(((image, [ball]) for image, ball in zip(images, MOVED, strict=True)), to_teach=True)
+    samples = gather_samples(((image, [ball]) for image, ball in zip(images, MOVED, strict=True)), for_fit=True)
     return fit_light(samples, lambda _: np.zeros((len(samples.p), 3)), MOVED, APEXES, SHAPE, positions)
 
 

@@ -42,7 +42,7 @@ def scan(calibration: Calibration, drift: np.ndarray) -> Reconstruction:
 
 
 def drift_checks(found: Reconstruction) -> list[float | None]:
-    return [check.value for check in found.frame_checks if check.name == "lamp drift"]
+    return [check.value for check in found.frame_checks if check.name == "light drift"]
 
 
 def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) -> None:

@@ -22,10 +22,10 @@ def test_stated_places_make_another_calibration_with_the_same_heights(
 ) -> None:
     turn = 2.0 * np.pi * np.arange(3) / 3.0 + 0.3
     places = WIDTH_MM * np.stack([2.0 * np.cos(turn), 2.0 * np.sin(turn), np.full(3, 2.8)], axis=-1)
-    lamps_mm = [(right, down, up) for right, down, up in places.tolist()]
+    lights_mm = [(right, down, up) for right, down, up in places.tolist()]
     stated, again = (
-        calibrate(ring_presses, lit_by_ring(np.zeros(SHAPE), 3, 99), PITCH_UM, lamps_mm=lamps)
-        for lamps in (lamps_mm, ())
+        calibrate(ring_presses, lit_by_ring(np.zeros(SHAPE), 3, 99), PITCH_UM, lights_mm=lamps)
+        for lamps in (lights_mm, ())
     )
     assert again.calibration_id == ring_calibration.calibration_id
     assert stated.calibration_id != ring_calibration.calibration_id

@@ -35,11 +35,11 @@ def test_bends_are_the_function_that_runs_straight_between_knots(knots: tuple[fl
 def test_the_larger_error_counts_beside_the_doubt_and_unknown_slopes_have_none() -> None:
     part = piecewise_linear((0.5, 1.0), (0.01, 0.01))
     p, q, weight = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32), np.full(SHAPE, 0.25, np.float32)
-    valid, contradiction = np.ones(SHAPE, np.bool_), np.zeros(SHAPE, np.float32)
-    contradiction[3, 4], valid[5, 6], p[7, 8] = 0.5, False, NAN
+    valid, nonintegrable = np.ones(SHAPE, np.bool_), np.zeros(SHAPE, np.float32)
+    nonintegrable[3, 4], valid[5, 6], p[7, 8] = 0.5, False, NAN
     doubt = np.zeros(SHAPE, np.float32)
     doubt[3, 4] = 1.2
-    found = sigma_by_tilt((p, q), (part, part), weight, valid, contradiction, doubt)
+    found = sigma_by_tilt((p, q), (part, part), weight, valid, nonintegrable, doubt)
     assert found[3, 4] == pytest.approx(1.3)
     assert np.isnan(found[5, 6])
     assert np.isnan(found[7, 8])
