@@ -5,26 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from typing import Final
 
 import numpy as np
 
-from device.balls.sphere import BallSamples, gather_samples
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Ball, BallSamples, gather_samples, pixels_inside, sphere_slopes
+from device.balls.viewpoint import MIN_HEIGHTS, Viewpoint
 from device.calibration.fit import BegunFit, InverseFit
+from device.errors import CalibrationError
+from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.model import InverseMap
 from device.inverse_map.noise_bias import less_noise
+from device.surface.fields import Float32Array, Float64Array
 from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.free_skin import with_free_skin
-from host_sync.calibration.lowered_balls import LoweredBalls
-from host_sync.calibration.nearby_camera import seen_from
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
 from host_sync.calibration.radii import without_disagreement
 from host_sync.light.fit import FittedLight
 from host_sync.light.model import Position
-from host_sync.light.presses import Press, confirmed_fraction, held_out_readers
-from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.light.presses import Press, confirmed_fraction, fit_light_of_presses, held_out_readers
+from host_sync.uncertainty.elevation import ElevationCorrection, apexes_px, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 
 NO_HELD_OUT_DEG: Final = 5.0
@@ -135,3 +138,107 @@ def _viewpoint(prepared: PreparedPresses, pupil_height_mm: float | None) -> View
         return None
     rows, columns, _ = prepared.flat_field.shape
     return Viewpoint.over_middle(pupil_height_mm, prepared.pitch_um, (rows, columns))
+
+
+# Balls of presses as a camera sees them that stands near the skin.
+
+
+def seen_from(located: Sequence[UsedPress], inverse: InverseMap, viewpoint: Viewpoint) -> list[UsedPress]:
+    """Return the presses with balls as a camera sees them that is not far away.
+
+    Raises
+    ------
+    CalibrationError
+        The camera would stand hardly higher than the balls.
+    """
+    seen = [
+        replace(
+            press,
+            balls=tuple(
+                replace(ball, viewpoint=viewpoint, apex_px=apex_px)
+                for ball, apex_px in zip(press.balls, apexes_px(press.intensity, press.balls, inverse), strict=True)
+            ),
+        )
+        for press in located
+    ]
+    highest_px = max((ball.apex_px for press in seen for ball in press.balls), default=0.0)
+    if viewpoint.height_px < MIN_HEIGHTS * highest_px:
+        raise CalibrationError(
+            f"the camera's pupil is stated {viewpoint.height_px:.0f} px over the skin and a ball rises "
+            f"{highest_px:.0f} px: check pupil_height_mm"
+        )
+    return seen
+
+
+# Balls of presses as they would look at the elevation of skin at rest, for the fit of the inverse map.
+#
+# A ball's apex stands high over the skin, its rim lower, and near light reaches both at other angles. The inverse map
+# knows no elevation: it is fitted to what the light model predicts at rest, as far as the model explains the balls.
+
+CHANGE: Final = (0.5, 2.0)
+"""Bounds of what elevation may change the intensity by: beyond them the model is extrapolated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoweredBalls:
+    """Presses whose balls were lowered.
+
+    light : the light model of the balls as they were seen
+    presses : the presses with lowered balls
+    remaining : fraction of a ball's elevation that its intensity still shows
+    """
+
+    light: FittedLight
+    presses: tuple[UsedPress, ...]
+    remaining: float
+
+    @classmethod
+    def of(
+        cls, located: Sequence[UsedPress], fit: InverseFit, prior_sigma: float, positions: Float64Array | None
+    ) -> LoweredBalls:
+        """Fit the light model to the balls that follow their spheres, and lower these.
+
+        fit : of the inverse map to the presses as they were seen
+        prior_sigma : standard uncertainty of its slopes
+        positions : stated places of the sources, see `fit_light`
+        """
+        used = apply_fit(located, fit)
+        pressed = [(press.intensity, press.balls) for press in used]
+        apexes = [apex_px for image, balls in pressed if balls for apex_px in apexes_px(image, balls, fit.map)]
+        light = fit_light_of_presses(pressed, fit.map, apexes, positions)
+        remaining = 1.0 - light.model.believed_fraction(prior_sigma)
+        places = iter(zip(apexes, light.shift_px, strict=True))
+        numbers = count()
+        lowered = []
+        for press in located:
+            image, balls = press.intensity, []
+            values = image.values.copy()
+            for _ in press.balls:
+                number = next(numbers)
+                ball = fit.balls[number]
+                if fit.kept[number]:
+                    apex_px, shift = next(places)
+                    across, down = ((1.0 - remaining) * shift).tolist()
+                    ball = replace(ball, column=ball.column + across, row=ball.row + down)
+                    _lower(values, image, ball, apex_px, light, 1.0 - remaining)
+                balls.append(ball)
+            lowered.append(replace(press, intensity=replace(image, values=values), balls=tuple(balls)))
+        return cls(light, tuple(lowered), remaining)
+
+    def elevation(self, seen: ElevationCorrection) -> ElevationCorrection:
+        """Return at which elevation the lowered balls show each slope, from where they stood."""
+        return ElevationCorrection(self.remaining * seen.apex_px, self.remaining * seen.radius_px, seen.nearness_per_px)
+
+
+def _lower(
+    values: Float32Array, image: NormalizedImage, ball: Ball, apex_px: float, light: FittedLight, fraction: float
+) -> None:
+    """Write the intensity (H, W, C) of a ball at the elevation of skin at rest over that of its contact."""
+    row, column = pixels_inside(ball, image.shape)
+    p, q = (part.astype(np.float64) for part in sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
+    z_px = apex_px - ball.radius_px * (1.0 - 1.0 / np.sqrt(1.0 + p * p + q * q))
+    model = light.model
+    x, y, z = model.places(column.astype(np.float64), row.astype(np.float64), z_px)
+    low, high = (np.maximum(model.mixed(model.light(p, q, x, y, at)), 1e-3) for at in (np.zeros_like(z), z))
+    change = 1.0 + fraction * (np.clip(low / high, *CHANGE) - 1.0)
+    values[row, column] *= change.astype(np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import calibrate
-from host_sync.calibration.many_lights import calibrate_lights
+from host_sync.calibration.frames import calibrate_lights
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
 from tests.apparatus.near_lamps import RADIUS_PX, SHAPE, balls, press_px

@@ -35,7 +35,7 @@ from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.consistency import check_agreement
-from host_sync.calibration.grid_press import detect_grid
+from host_sync.calibration.located_presses import detect_grid
 from host_sync.calibration.radii import contradicts, left_out, radius_shares, radius_spread
 
 PITCH_UM = 48.0

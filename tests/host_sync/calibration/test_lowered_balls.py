@@ -13,7 +13,7 @@ from device.balls.sphere import Ball, gather_samples, pixels_inside
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration.balls import UsedPress
-from host_sync.calibration.lowered_balls import LoweredBalls
+from host_sync.calibration.slope_models import LoweredBalls
 from host_sync.light.presses import held_out_readers
 from host_sync.uncertainty.elevation import ElevationCorrection
 

@@ -11,10 +11,9 @@ import pytest
 from device.calibration.acceptance import Check
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
-from host_sync.calibration.assessment import Assessment, diameter_note
+from host_sync.calibration.assessment import PIXEL_SHAPE, Assessment, checks, diameter_note, widest_contact
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
-from host_sync.calibration.calibration_verdict import PIXEL_SHAPE, checks, widest_contact
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.scale import ScaleUncertainty
@@ -138,6 +137,6 @@ def test_a_diameter_given_as_the_radius_is_asked_for(stated: float, asks: bool) 
 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("host_sync.calibration.calibration_verdict.fit_checks", lambda *_: ("first", "share"))
+    monkeypatch.setattr("host_sync.calibration.assessment.fit_checks", lambda *_: ("first", "share"))
     (check,) = checks([], 1.0, 0.01, None, PixelShape(1.09, 0.02, 8))[4:]  # type: ignore[arg-type]
     assert (check.name, check.passed) == (PIXEL_SHAPE, False)

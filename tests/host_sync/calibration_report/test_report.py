@@ -11,6 +11,7 @@ from device.balls.detector import BallSearch, RejectedBall
 from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.calibration.coverage import measure_coverage
 from device.imaging.flat_field import LinearFrame, NormalizedImage
+from host_sync.calibration.assessment import checks
 from host_sync.calibration.balls import (
     MAX_WIDENING,
     GridSpacing,
@@ -19,7 +20,6 @@ from host_sync.calibration.balls import (
     add_detections,
     relocate_labels,
 )
-from host_sync.calibration.calibration_verdict import checks
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.scale import scale_uncertainty, with_stated_pitch
 from host_sync.calibration.training_press import MAX_SHOWN, training_presses
