@@ -90,7 +90,7 @@ def identity(*, options: Given) -> int:
 
 
 def guard_battery(*, check: bool = False, options: Given) -> int:
-    """Return the power the device off once the battery is nearly empty.
+    """Power the device off once the battery is nearly empty.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def is_low(reading: PowerReading) -> bool:
 
 
 def wait_until_low(power: Power, clock: Clock, print_error: Callable[[object], None]) -> PowerReading:
-    """Return the block until the battery was low in `LOW_IN_A_ROW` consecutive readings; returns the last one.
+    """Block until the battery was low in `LOW_IN_A_ROW` consecutive readings; returns the last one.
 
     A failed reading is printed and skipped.
     """
