@@ -17,7 +17,7 @@ from device.surface.fields import Float32Array, Float64Array, GradientField, Hei
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.light.interreflection import incoming_light
+from host_sync.light.interreflection import SCAN_CELLS, incoming_light
 from host_sync.light.kernels import write_search
 from host_sync.light.model import ELEVATION, MONOMIALS, LightModel
 from host_sync.light.visibility import visible_fraction
@@ -232,7 +232,7 @@ class Cells:
         x, y, z = self.places(z_px)
         rest = self.rest
         shown = (self.intensity * rest).reshape(*size, -1)
-        incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell)).reshape(rest.shape) / rest
+        incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell), SCAN_CELLS).reshape(rest.shape) / rest
         p_cell, q_cell = found.slope.T
         light = model.light(p_cell, q_cell, x, y, z)
         dark = ((self.rest_light * (1.0 - visible)) @ model.strengths.T / rest).max(axis=1)

@@ -12,22 +12,27 @@ from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 
 WIDEST_CELLS: Final = 96
-"""Cells along the columns, at most: the number of pairs grows with its fourth power."""
+SCAN_CELLS: Final = 48
+"""Cells along the columns, at most, of presses that a model is fitted to and of scans: the number of pairs grows with
+its fourth power."""
 
 SLANTED: Final = 0.02
 RAISED_CELLS: Final = 0.25
 """Slope, and elevation in cells, from which a cell exchanges light with others; level skin at rest adds nothing."""
 
 
-def incoming_light(shown: Float64Array, p: Float32Array, q: Float32Array, z_cells: Float32Array) -> Float64Array:
+def incoming_light(
+    shown: Float64Array, p: Float32Array, q: Float32Array, z_cells: Float32Array, widest: int = WIDEST_CELLS
+) -> Float64Array:
     """Return the light that reaches each cell from all other cells: float64 array of shape (h, w, C).
 
     shown : radiance of cells, shape (h, w, C)
     p, q : slopes of cells, shape (h, w)
     z_cells : elevation over skin at rest, cells, shape (h, w)
+    widest : cells along the columns between which light is exchanged, at most
     """
     rows, columns = z_cells.shape
-    factor = max(1, -(-columns // WIDEST_CELLS))
+    factor = max(1, -(-columns // widest))
     size = (-(-columns // factor), -(-rows // factor))
 
     def reduced(values: Any) -> Float64Array:
