@@ -1,0 +1,63 @@
+"""Processor time of a sensor's video frames on one thread, with and without their uncertainty.
+
+usage: python -m tests.benchmarks.speed.sensor_frames CALIBRATION FRAME...
+
+CALIBRATION is a file of `retrosync calibrate`; the frames are images of that sensor, in turn. Decoding is not included.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+import numba
+import numpy as np
+
+from device.imaging.frame_light import FrameLight
+from device.surface.fields import Float32Array
+from host_sync import api
+from host_sync.frames.image_file import read_image
+from host_sync.video.frame_solver import FrameSolver, StoredFrame
+
+ROUNDS: Final = 5
+FRAMES: Final = 20
+"""Rounds, of which the quickest counts, and frames of each."""
+
+
+def main(calibration: str, *images: str) -> None:
+    """Print milliseconds of processor time a frame, and the frames a second of one core."""
+    numba.set_num_threads(1)
+    solver = FrameSolver.of(api.load_calibration(calibration))
+    frames = [StoredFrame(image, read_image(Path(image))) for image in images]
+    height = np.empty(solver.shape, np.float32)
+    light = solver.light_of(frames[0])
+    for name, sigma in (("heights", None), ("heights and uncertainty", np.empty_like(height))):
+        spent_ms = _spent_ms(solver, frames, light, height, sigma)
+        rows, columns = solver.shape
+        sys.stdout.write(f"{columns}x{rows}, {name}: {spent_ms:.1f} ms, {1e3 / spent_ms:.0f} frames a second\n")
+
+
+def _spent_ms(
+    solver: FrameSolver, frames: list[StoredFrame], light: FrameLight, height: Float32Array, sigma: Float32Array | None
+) -> float:
+    """Return the processor time of a frame in the quickest round, ms."""
+    solver.solve(frames[0], height, light, sigma)
+    rounds = []
+    for _ in range(ROUNDS):
+        began_s = time.process_time()
+        for number in range(FRAMES):
+            solver.solve(frames[number % len(frames)], height, light, sigma)
+        rounds.append(1e3 * (time.process_time() - began_s) / FRAMES)
+    return min(rounds)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    main(*sys.argv[1:])
