@@ -38,32 +38,23 @@ SAMPLES_ALONG: Final = 256
 """The frame is looked at with at most so many rows and columns, about; fewer will do where frames follow each other."""
 
 
-def check_frame(intensity: NormalizedImage, flat_field: Float32Array, inverse: InverseMap) -> list[str]:
+def check_frame(
+    intensity: NormalizedImage, flat_field: Float32Array, inverse: InverseMap, samples_along: int = SAMPLES_ALONG
+) -> list[str]:
     """Return what speaks against a frame before anything is reconstructed, one clause each.
 
-    flat_field : see `check_turn`
-    """
-    return [*check_turn(intensity, flat_field), *check_colours(intensity, inverse)]
-
-
-def check_turn(intensity: NormalizedImage, flat_field: Float32Array) -> list[str]:
-    """Return a clause where a frame's light lies over the field as that of a reference turned or mirrored.
-
     flat_field : float32 array of shape (H, W, 3), what the frame was divided by
-    """
-    turn = _turn(intensity, flat_field, _step(intensity.shape, SAMPLES_ALONG))
-    return [] if turn is None else [f"its light lies over the field as if it were {turn}"]
-
-
-def check_colours(intensity: NormalizedImage, inverse: InverseMap, samples_along: int = SAMPLES_ALONG) -> list[str]:
-    """Return a clause where too many of a frame's colours are unlike those of the calibration's balls.
-
     samples_along : rows and columns that are sampled, about
     """
-    strange = _strange_share(intensity, inverse, _step(intensity.shape, samples_along))
-    if strange <= MAX_OUT_OF_DOMAIN:
-        return []
-    return [f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})"]
+    warnings = []
+    step = _step(intensity.shape, samples_along)
+    turn = _turn(intensity, flat_field, step)
+    if turn is not None:
+        warnings.append(f"its light lies over the field as if it were {turn}")
+    strange = _strange_share(intensity, inverse, step)
+    if strange > MAX_OUT_OF_DOMAIN:
+        warnings.append(f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})")
+    return warnings
 
 
 def check_datum(intensity: NormalizedImage, at_rest: MaskArray, gain_sigma: float = 0.0) -> list[str]:

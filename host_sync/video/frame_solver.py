@@ -20,7 +20,7 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
-from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_colours, check_datum, check_turn
+from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
 from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
@@ -48,7 +48,7 @@ from host_sync.video.coarse import (
 from host_sync.video.fine_pass import FineCorrection, block_moments, level
 from host_sync.video.frame_sigma import FrameSigma
 
-CHECK_STRIDE_FACTOR: Final = 4
+CHECK_STRIDE_FACTOR: Final = 8
 """Checks of video frames sample this many times more coarsely than those of a single frame."""
 
 STRETCH: Final = 30
@@ -182,9 +182,7 @@ class FrameSolver:
         intensity = self._read(frame)
         checks = self._calibration.frame_model.check(intensity, self._flat_field)
         raise_on_warnings(refusals(checks), frame.name, force=self.force)
-        image, squares = self._reduced(intensity)
-        raise_on_warnings(check_turn(image, self._coarse_rest), frame.name, force=self.force)
-        evidence = None if self._rest is None else self._rest.evidence(image, squares)
+        evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
         if evidence is None or not evidence.has_rest:
             return FrameLight.unchanged()
         raise_on_warnings(refusals(check_light(evidence.light)), frame.name, force=self.force)
@@ -215,8 +213,9 @@ class FrameSolver:
         light.take_out(image.values, self._coarse_rest)
         if self._cell > 1:
             light.take_out(intensity.values, self._flat_field)
-        strange = check_colours(image, self._coarse.inverse.map, SAMPLES_ALONG // CHECK_STRIDE_FACTOR)
-        raise_on_warnings(strange, frame.name, force=self.force)
+        samples = SAMPLES_ALONG // CHECK_STRIDE_FACTOR
+        foreign = check_frame(image, self._coarse_rest, self._coarse.inverse.map, samples)
+        raise_on_warnings(foreign, frame.name, force=self.force)
         evidence = None if self._rest is None else self._rest.evidence(image, squares)
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
