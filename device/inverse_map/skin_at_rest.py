@@ -228,11 +228,11 @@ class SkinAtRest:
 
     @cached_property
     def _inverse(self) -> Float64Array:
-        return np.asarray(np.linalg.inv(self.covariance.astype(np.float64)))
+        return _inverse_in_planes(self.covariance)
 
     @cached_property
     def _pooled_inverse(self) -> Float64Array:
-        return np.asarray(np.linalg.inv(self.pooled.astype(np.float64)))
+        return _inverse_in_planes(self.pooled)
 
     @cached_property
     def _contrast(self) -> Float64Array:
@@ -286,6 +286,10 @@ def _cells(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _reduced(values: NDArray[Any], size: tuple[int, int]) -> Float32Array:
+    planes = np.moveaxis(values, -1, 0)
+    if planes.flags.c_contiguous:  # OpenCV would copy it
+        small = [cv2.resize(plane, size[::-1], interpolation=cv2.INTER_AREA) for plane in planes]
+        return np.asarray(np.stack(small, axis=-1), np.float32)
     return np.asarray(cv2.resize(values, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
 
 
@@ -323,6 +327,12 @@ def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
 def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
     """Return the squared Mahalanobis distance a channel of values (..., h, w, 3)."""
     return _squared(left, np.linalg.inv(covariance.astype(np.float64)))
+
+
+def _inverse_in_planes(covariance: Float32Array) -> Float64Array:
+    """Return the inverse of matrices (h, w, 3, 3), each of their components contiguous in memory."""
+    components = np.moveaxis(np.linalg.inv(covariance.astype(np.float64)), (-2, -1), (0, 1))
+    return np.moveaxis(np.ascontiguousarray(components), (0, 1), (-2, -1))
 
 
 def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
