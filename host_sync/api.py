@@ -326,8 +326,7 @@ def mosaic(results: Sequence[str | Path], out: str | Path) -> Result:
 def integrate(
     p: NDArray[Any], q: NDArray[Any], weights: NDArray[Any] | None = None, *, pitch_um: float = 1.0
 ) -> Float32Array:
-    """Return heights in µm, float32 array of shape (H, W), whose slopes are p along a row and q down a column, least
-    squares.
+    """Return heights in µm, float32 array (H, W), whose slopes are p along a row and q down a column, least squares.
 
     p, q : shape (H, W), µm/µm; a pixel that is not finite, or masked in a numpy masked array, is a hole
     weights : relative confidence of each pixel; a pixel of weight 0 or without a finite slope is a hole, NaN

@@ -120,8 +120,7 @@ def find_apex(reduced: ReducedIntensity, circle: Float64Array, radius_px: float)
 def join_centres(
     reduced: ReducedIntensity, circles: Float64Array, apexes: Float64Array, radius_px: float
 ) -> Float64Array:
-    """Return centres of a frame's balls from both readings, float64 array of shape (number of balls, 2), in reduced
-    pixels.
+    """Return centres of a frame's balls from both readings, float64 array (number of balls, 2), in reduced pixels.
 
     The way from circles to apexes is split into the part common to all balls and each ball's own, because one uneven
     spot under a ball spoils its own apex long before it spoils the common one.
@@ -319,8 +318,7 @@ def _ramp_score(deviation: Float32Array, radius_px: float) -> Float32Array:
 
 
 def _patch_basis(radius_px: float) -> tuple[Float64Array, Float64Array]:
-    """Return polynomials 1, x, y, x², xy, y² of shape (6, k, k) in units of the radius, and the soft disc of shape (k,
-    k)."""
+    """Return polynomials 1, x, y, x², xy, y² (6, k, k) in units of the radius, and the soft disc (k, k)."""
     reach = int(np.ceil(radius_px + 0.5))
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius_px
     disc = np.clip((1.0 - np.hypot(row, column)) * radius_px + 0.5, 0.0, 1.0)

@@ -387,7 +387,7 @@ class _Trial:
 def _of_samples(
     learner: RegressorFit, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]
 ) -> tuple[Reading | None, GentleSkin | None]:
-    """Return what a learner reads and is anchored at, as other samples of the same balls tell it."""
+    """Return what a learner reads and is anchored at, as other samples of the same balls show it."""
     near, skin = isinstance(learner.reading, NearLightModel), learner.skin
     reading = NearLightModel.of(samples, slope, shape) if near else learner.reading
     return reading, None if skin is None else GentleSkin.of(samples, slope, shape, skin.light)

@@ -117,8 +117,7 @@ def _typical_error_deg(samples: BallSamples, state: Refined) -> float:
 
 
 def held_out_slopes(learners: Learners, state: Refined, fold_of_ball: NDArray[np.intp] | None = None) -> Float64Array:
-    """Return slopes of shape (N, 2) that the learners together give each ball without having seen it; folds as the
-    ridge's."""
+    """Return slopes (N, 2) that the learners together give each ball without having seen it; folds as the ridge's."""
     u = np.zeros_like(state.slope)
     arguments = state.slope, state.weight, state.kept, fold_of_ball
     calls = [partial(learner.ridge.held_out, [learner.penalty], *arguments) for learner, _ in learners]

@@ -82,14 +82,13 @@ def measure_radii(
 
 
 def wrong_by_shadow(stated_mm: float, shadows_mm: Sequence[float]) -> str:
-    """Return what is wrong with the balls by their shadows alone, which tell after a press or two; empty if nothing
+    """Return what is wrong with the balls by their shadows alone, which show it after a press or two; empty if nothing
     is."""
     return MeasuredRadii(stated_mm, _by_shadow(stated_mm, shadows_mm), None).advice
 
 
 def measured_radius_shares(samples: BallSamples, last: InverseMap) -> np.ndarray:
-    """Return each ball's measured radius over the stated one, float64 array of shape (number of balls,), NaN without
-    samples.
+    """Return each ball's measured radius over the stated one, float64 array (number of balls,), NaN without samples.
 
     last : the inverse map of the last calibration of the same gel and lights. A ball of radius R that is stated as R'
         shows about R' / R times the stated slopes.

@@ -249,8 +249,7 @@ def _apart(one: _Place, other: _Place) -> bool:
 
 
 def _turned(slopes: Complex, turn: float) -> tuple[Complex, Float32Array]:
-    """Return slopes of a view turned back by `turn` about its middle, and where they are known: arrays of shape (h,
-    w)."""
+    """Return slopes of a view turned back by `turn` about its middle, and where they are known: arrays (h, w)."""
     rows, columns = slopes.shape
     cosine, sine = float(np.cos(turn)), float(np.sin(turn))
     middle = 0.5 * (columns - 1), 0.5 * (rows - 1)

@@ -66,7 +66,7 @@ class GentleSkin:
     def of(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap | None = None
     ) -> GentleSkin:
-        """Return what gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
+        """Return what gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) show.
 
         Where no slope is gentle every coefficient is zero: slopes show nothing.
         """

@@ -62,7 +62,7 @@ class NearLightModel:
 
     @classmethod
     def of(cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> NearLightModel:
-        """Return the directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) tell.
+        """Return the directions that gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) show.
 
         Where no slope is gentle every direction is zero, i.e. uninformative.
         """

@@ -124,8 +124,7 @@ def design_matrix(
 
 
 def colour_terms(variables: NDArray[Any], degree: int, waves: RandomFourierFeatures) -> NDArray[Any]:
-    """Return monomials up to `degree` and then waves of colours' variables (N, 3): array of shape (N, M) of their
-    type."""
+    """Return monomials up to `degree` and then waves of colours' variables (N, 3): array (N, M) of their type."""
     terms = monomials(variables, degree)
     return np.concatenate([terms, waves.values(variables)], axis=-1) if waves.count else terms
 

@@ -296,8 +296,7 @@ def _reduced(values: NDArray[Any], size: tuple[int, int]) -> Float32Array:
 def _cell_logs(
     image: NormalizedImage, size: tuple[int, int], squares: Float32Array | None = None
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the log of the mean intensity of cells, and relative variance within them: float32 arrays of shape (h, w,
-    3).
+    """Return the log of the mean intensity of cells, and relative variance within them: float32 arrays (h, w, 3).
 
     squares : as of `SkinAtRest.evidence`
     """
@@ -326,7 +325,7 @@ def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
 
 def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
     """Return the squared Mahalanobis distance a channel of values (..., h, w, 3)."""
-    return _squared(left, np.linalg.inv(covariance.astype(np.float64)))
+    return _squared(left, _inverse_in_planes(covariance))
 
 
 def _inverse_in_planes(covariance: Float32Array) -> Float64Array:

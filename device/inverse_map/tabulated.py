@@ -162,8 +162,7 @@ def _tables(inverse_map: InverseMap, low: Float64Array, high: Float64Array, cent
 
 
 def spline_weights(at: Float64Array, nodes: int) -> Float64Array:
-    """Return the weight of each of `nodes` even nodes in the cubic spline through them: float64 array of shape (N,
-    nodes).
+    """Return the weight of each of `nodes` even nodes in the cubic spline through them: float64 array (N, nodes).
 
     Its ends are "not-a-knot". scipy.interpolate gives the same, but takes a third of the start to import.
 
@@ -183,8 +182,7 @@ def spline_weights(at: Float64Array, nodes: int) -> Float64Array:
 
 
 def _position_coefficients(inverse_map: InverseMap, intensity: Float32Array) -> Float64Array:
-    """Return the least-squares coefficients of u over the field, float64 array of shape (N, K, 2), at N intensities (N,
-    3)."""
+    """Return the least-squares coefficients of u over the field, float64 array (N, K, 2), at N intensities (N, 3)."""
     at = (np.arange(PLACES) + 0.5) * (2.0 / PLACES) - 1.0
     places = np.stack([axis.ravel() for axis in np.meshgrid(at, at)], axis=-1)
     u = np.stack([inverse_map.curve.at(intensity, np.tile(place, (len(intensity), 1))) for place in places])

@@ -59,8 +59,7 @@ class TrainingDomain:
         return cls(low.astype(np.float32), cell, spread, np.asarray(distance, np.float32))
 
     def excess(self, intensity: Float32Array) -> Float32Array:
-        """Return the distance of intensities of shape (..., 3) to what the balls showed, standard deviations, of shape
-        (...)."""
+        """Return the distance of intensities (..., 3) to what the balls showed, standard deviations, (...)."""
         at = (log_intensity(intensity) - self.low) / np.float32(self.cell)
         last = np.array(self.distance.shape, np.float32) - np.float32(1.0)
         inside = np.clip(at, np.float32(0.0), last)

@@ -46,8 +46,7 @@ def quiet_tiff_log() -> Iterator[None]:
 
 
 def read_page(stream: BinaryIO, dtype: type[np.generic], shape: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Return the first page of a TIFF, array of shape (H, W), decoded only when its declared size and type are as
-    expected.
+    """Return the first page of a TIFF, array (H, W), decoded only when its declared size and type are as expected.
 
     shape : (H, W) as a record states it; any size within `MAX_PIXELS` when None
 

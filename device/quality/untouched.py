@@ -116,8 +116,7 @@ class ReferenceModel:
         return cls(*_blocks(reference.values))
 
     def ratio(self, intensity: NormalizedImage) -> Float32Array:
-        """Return the intensity of each block relative to the reference: float32 array of shape (rows, columns of
-        blocks, 3)."""
+        """Return the intensity of each block relative to the reference: float32 array (rows, columns of blocks, 3)."""
         return _blocks(intensity.values)[0] / self.mean
 
     def detect(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion | None:
@@ -267,8 +266,7 @@ def _agreeing(ratio: Float32Array, quiet: MaskArray, window: Float32Array, per_c
 
 
 def _unevenness(levels: Float32Array) -> Float32Array:
-    """Return the standard deviation over 3x3 blocks, the largest of the three lights: float32 array of shape (rows,
-    columns)."""
+    """Return the standard deviation over 3x3 blocks, the largest of the three lights: float32 array (rows, columns)."""
     mean, square = (
         cv2.blur(part, (3, 3), borderType=cv2.BORDER_REPLICATE) for part in (levels - 1.0, (levels - 1.0) ** 2)
     )

@@ -97,8 +97,7 @@ def areal_roughness(z_um: Float32Array, flatness_um: float | None = None) -> Rou
 
 
 def line_between(height: HeightMap, start: Point, end: Point) -> Float64Array:
-    """Return heights (µm) along the line between two points, interpolated, a pixel apart: float64 array of shape
-    (N,)."""
+    """Return heights (µm) along the line between two points, interpolated, a pixel apart: float64 array (N,)."""
     rows, columns = height.z_um.shape
     count = max(round(float(np.hypot(end[0] - start[0], end[1] - start[1]))) + 1, 2)
     row = np.clip(np.linspace(start[0], end[0], count), 0.0, rows - 1.0)

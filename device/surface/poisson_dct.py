@@ -34,8 +34,7 @@ def integrate_dct(p: Float32Array, q: Float32Array, pitch_um: float) -> Float32A
 
 @lru_cache(maxsize=2)
 def _inverse_eigenvalues(shape: tuple[int, ...], pitch_um: float) -> Float32Array:
-    """Return the height per unit of twice the divergence, µm, for each cosine: float32 array of shape (H, W); 0 for the
-    mean."""
+    """Return the height per unit of twice the divergence, µm, for each cosine: float32 array (H, W); 0 for the mean."""
     return np.asarray(0.5 * pitch_um / eigenvalues(shape), np.float32)
 
 

@@ -87,8 +87,7 @@ class RawStream:
         return cls(rows, columns, int(stream["stride"]), bits, order)
 
     def mosaic(self, buffer: NDArray[np.uint8]) -> NDArray[np.uint16]:
-        """Return counts without the padding of the stride, uint16 array of shape (H, W), from bytes of shape (H,
-        stride).
+        """Return counts without the padding of the stride, uint16 array (H, W), from bytes of shape (H, stride).
 
         Raises
         ------

@@ -84,8 +84,7 @@ def aiming_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _means(light: NDArray[np.uint16], saturated: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Return the mean light around each pixel, uint16 array of shape (H, W); white where one of the pixels is
-    saturated."""
+    """Return the mean light around each pixel, uint16 array (H, W); white where one of the pixels is saturated."""
     mean = np.asarray(cv2.sepFilter2D(light, -1, KERNEL, KERNEL, borderType=cv2.BORDER_REFLECT_101), np.uint16)
     if saturated.any():
         mean[cv2.dilate(saturated.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0] = WHITE_DN

@@ -103,8 +103,7 @@ class Lens:
         return p * stretch, q * stretch
 
     def transmit(self, radiance: Float32Array, height_mm: FloatArray) -> Float32Array:
-        """Return the radiance of a skin at `height_mm`, arrays of shape (H, W), after vignetting and point spread;
-        float32."""
+        """Return the radiance of a skin at `height_mm`, arrays (H, W), after vignetting and point spread; float32."""
         radius2 = (self.column_mm**2 + self.row_mm**2) / np.float32(self.corner_mm**2)
         passed = radiance * (1.0 - np.float32(self.vignetting) * radius2)
         if self.blur is not None:

@@ -154,8 +154,7 @@ def render(profile: BoardProfile, press: Press | None) -> Scene:
 def light_on_skin(
     profile: BoardProfile, geometry: SkinGeometry, lens: Lens, position_mm: tuple[float, float, float]
 ) -> Float32Array:
-    """Return the radiance of the skin under one light, float32 array of shape (H, W): a bare point, or the mean of its
-    LEDs."""
+    """Return the radiance of the skin under one light, float32 array (H, W): a bare point, or the mean of its LEDs."""
     twin = profile.twin or TwinConfig()
     if profile.beam is None:
         return radiance(geometry, lens, coat(twin.skin), position_mm, twin.light_radius_mm)
@@ -279,8 +278,7 @@ def radiance(
 def _flakes(
     skin: SkinGeometry, lens: Lens, skin_coat: Coat, to_light: list[FloatArray], cosine: FloatArray
 ) -> FloatArray:
-    """Return the lobe of the flakes, array of shape (H, W): 1 where the normal halves the angle between light and
-    camera."""
+    """Return the lobe of the flakes, array (H, W): 1 where the normal halves the angle between light and camera."""
     to_camera = (-skin.x_mm, -skin.y_mm, np.float32(lens.distance_mm) - skin.z_mm)
     inverse = 1.0 / np.sqrt(sum(v**2 for v in to_camera))
     half = [a + v * inverse for a, v in zip(to_light, to_camera, strict=True)]

@@ -116,8 +116,7 @@ def check_mesh_size(surface: SourceSurface, step: int | None) -> None:
 
 
 def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return two triangles for each square of four vertices, int32 array of shape (N, 3); -1 where there is no
-    vertex."""
+    """Return two triangles for each square of four vertices, int32 array (N, 3); -1 where there is no vertex."""
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     # If a or d is invalid, the other diagonal keeps one triangle.
     other = (a < 0) | (d < 0)
@@ -152,8 +151,7 @@ MAX_BASE_MM: Final = 1000.0
 
 
 def solid(mesh: Mesh, base_mm: float) -> tuple[Float32Array, NDArray[np.int32]]:
-    """Return places of the vertices, mm, float32 array of shape (N, 3), and vertex numbers of the triangles, shape (M,
-    3).
+    """Return places of the vertices, mm, float32 array (N, 3), and vertex numbers of the triangles, shape (M, 3).
 
     Every edge belongs to exactly two triangles. Where two holes touch at a corner, the triangles around it are left
     out.

@@ -69,8 +69,7 @@ def find_exchanges(cells: Float32Array, rest: Float32Array, *, turns: bool) -> l
 
 
 def hidden_turns(rest: Float32Array) -> list[Turn]:
-    """Return the turns that the light of a reference, float32 array of shape (h, w, 3), cannot tell: it looks the
-    same."""
+    """Return the turns that the light of a reference, float32 array (h, w, 3), cannot show: it looks the same."""
     return [turn for turn in turns_of(rest.shape) if median_deviation(turn.of(rest) - rest) < MIN_UNEXPLAINED]
 
 

@@ -57,8 +57,7 @@ class SlopeResponse:
 
     @classmethod
     def of(cls, samples: BallSamples, balls: list[Ball], shape: tuple[int, int]) -> SlopeResponse | None:
-        """Return the response that balls show in a field of shape (H, W); None where too few pixels have a gentle
-        slope."""
+        """Return the response that balls show in a field (H, W); None where too few pixels have a gentle slope."""
         gentle = np.flatnonzero(np.hypot(samples.p, samples.q) < GENTLE)
         gentle = gentle[:: max(1, gentle.size // 40_000)]
         if gentle.size < 200:

@@ -83,8 +83,7 @@ def _linear_frame(rgb: Float32Array, clipped_from: float = 1.0) -> LinearFrame:
 def frame_of_values(
     values: NDArray[Any], encoding: Encoding, full_scale: int | None = None, pixel_shape: float = 1.0
 ) -> LinearFrame:
-    """Return the frame in an array of shape (H, W, N), one channel a light: uint8 or uint16, or fractions of full
-    scale.
+    """Return the frame in an array (H, W, N), one channel a light: uint8 or uint16, or fractions of full scale.
 
     full_scale, pixel_shape : as of `FrameSpec`
 

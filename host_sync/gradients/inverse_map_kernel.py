@@ -209,8 +209,7 @@ def _by_column(nodes: Float32Array, columns: int) -> Float32Array:
 
 
 def _by_output(null_colour: NullColour) -> Float32Array:
-    """Return a null colour as the kernel reads it: float32 array of shape (5, 3, 3), first three channels, then two
-    slopes."""
+    """Return a null colour as the kernel reads it: float32 array (5, 3, 3), first three channels, then two slopes."""
     return np.ascontiguousarray(np.moveaxis(np.concatenate([null_colour.channels, null_colour.slopes], axis=-1), -1, 0))
 
 

@@ -25,8 +25,7 @@ REASSOCIATE: Final = {"reassoc", "nsz", "contract"}
 
 
 def chebyshev_steps(sweeps: int) -> Float32Array:
-    """Return the relaxation factors of `sweeps` Jacobi sweeps, float32 array of shape (sweeps,), best over [LOWEST,
-    HIGHEST]."""
+    """Return the relaxation factors of `sweeps` Jacobi sweeps, float32 array (sweeps,), best over [LOWEST, HIGHEST]."""
     angle = np.pi * (2 * np.arange(sweeps) + 1) / (2 * sweeps)
     return (2.0 / (HIGHEST + LOWEST + (HIGHEST - LOWEST) * np.cos(angle))).astype(np.float32)
 

@@ -222,9 +222,11 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> Mas
     _, labels = cv2.connectedComponents(flat.astype(np.uint8), connectivity=4)
     known = flat & np.isfinite(z_um)
     share = np.bincount(labels[known], minlength=labels.max() + 1) / flat.size
-    large = [number for number in range(1, share.size) if share[number] >= max(part_share, 1.0 / flat.size)]
+    large = [number for number in range(1, share.size) if share[number] >= part_share]
+    if not large:
+        return np.zeros_like(flat)
     level = {number: float(np.median(z_um[known & (labels == number)])) for number in large}
-    low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT) if large else (0.0, 0.0)
+    low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT)
     for number in sorted(large, key=level.__getitem__):
         alike = [other for other in large if 0.0 <= level[other] - level[number] <= ALIKE_SHARE * float(high - low)]
         if share[alike].sum() >= MIN_SHARE:
@@ -274,8 +276,7 @@ def trimmed_mean(values: Float64Array) -> Float64Array:
 
 
 def distance_px(to: MaskArray) -> Float32Array:
-    """Return the distance of each pixel's middle from that of the nearest True one, pixels: float32 array of shape (H,
-    W).
+    """Return the distance of each pixel's middle from that of the nearest True one, pixels: float32 array (H, W).
 
     to : bool array of shape (H, W), True somewhere
     """
@@ -349,7 +350,7 @@ def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArr
 
 
 def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
-    """Return the height at which skin is not bent, of heights and bends of shape (N,); 0 where they tell nothing."""
+    """Return the height at which skin is not bent, of heights and bends of shape (N,); 0 where they do not show it."""
     kept = np.ones(len(z), np.bool_)
     slope, start = 0.0, 0.0
     for _ in range(ROUNDS):

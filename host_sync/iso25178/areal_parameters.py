@@ -319,8 +319,7 @@ def _two_triangles(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 @njit(cache=True)
 def _slope_sums(z_um: Any, per_um: Any) -> Float64Array:
-    """Return the sum and number of squared slopes across, the same down, area and number of squares: array of shape (H,
-    6)."""
+    """Return the sum and number of squared slopes across, the same down, area and number of squares: array (H, 6)."""
     rows, columns = z_um.shape
     sums = np.zeros((rows, 6))
     for r in range(rows):

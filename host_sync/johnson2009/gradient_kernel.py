@@ -157,8 +157,7 @@ def estimate_slopes(
     table: LookupTable,
     settings: GateSettings,
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Return slopes p, q and confidence of every pixel, float32 arrays of shape (H, W); confidence 0 where p, q are
-    invalid.
+    """Return slopes p, q and confidence of every pixel, float32 arrays (H, W); confidence 0 where p, q are invalid.
 
     values : float32 array of shape (H, W, 3), intensity
     lit : bool array of shape (H, W), where intensity is valid

@@ -26,8 +26,7 @@ def in_planes(image: Float32Array) -> Float32Array:
 
 
 def as_stored(image: Float32Array) -> tuple[Float32Array, bool]:
-    """Return the image of shape (H, W, 3) as a C-contiguous array, and whether that holds planes, of shape (3, H,
-    W)."""
+    """Return the image (H, W, 3) as a C-contiguous array, and whether that holds planes, (3, H, W)."""
     planes = np.moveaxis(image, -1, 0)
     if planes.flags.c_contiguous:
         return planes, True

@@ -145,7 +145,7 @@ def find_light_groups(
     flat_field: Float32Array,
     names: Sequence[str],
 ) -> LightGroups:
-    """Return the groups with what balls tell of the lights' directions.
+    """Return the groups with the lights' directions that balls show.
 
     flat_field : float32 array of shape (H, W, N)
     names : of the lights; numbers from 1 where there are none

@@ -45,7 +45,7 @@ class MattLights:
 
     @classmethod
     def of(cls, samples: BallSamples, shape: tuple[int, int]) -> MattLights:
-        """Return what gentle slopes on balls tell, of a field (H, W)."""
+        """Return what gentle slopes on balls show, of a field (H, W)."""
         slope = np.stack([samples.p, samples.q], axis=-1).astype(np.float64)
         place = field_position(samples.column.astype(np.float64), samples.row.astype(np.float64), shape)
         degree = NEAR_DEGREE if len(np.unique(samples.ball)) >= MIN_BALLS else FAR_DEGREE

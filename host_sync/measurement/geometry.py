@@ -206,8 +206,7 @@ class SkinPlaces:
         return replace(self, middle_um=(across_um - left_um, down_um - top_um))
 
     def at(self, z_um: Float32Array) -> tuple[Float64Array, Float64Array]:
-        """Return the right and down of the first pixel, of each pixel of a height map: float64 arrays of shape (H, W),
-        µm."""
+        """Return distances of pixels from the first one, to the right and down, µm: float64 arrays of shape (H, W)."""
         x, y = self._from_middle(z_um.shape)
         shares = self._shares(x, y, z_um)
         return self.middle_um[0] + x * shares, self.middle_um[1] + y * shares

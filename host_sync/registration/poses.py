@@ -82,8 +82,7 @@ def moved(small: Float32Array, pose: Pose, shape: tuple[int, ...], step: int) ->
 
 
 def centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[Float32Array, Float32Array]:
-    """Return rows and columns of the cell centres relative to the map's centre, px of the full map: arrays of shape (h,
-    w)."""
+    """Return rows and columns of the cell centres relative to the map's centre, px of the full map: arrays (h, w)."""
     places = [
         ((np.arange(count) + 0.5) * step - 0.5 - 0.5 * (whole - 1)).astype(np.float32)
         for count, whole in zip(shape[:2], full[:2], strict=True)

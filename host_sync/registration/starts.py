@@ -58,8 +58,7 @@ def starts(first: Float32Array, second: Float32Array) -> list[Start]:
 
 
 def texture_starts(frames: tuple[Float32Array, Float32Array]) -> list[Start]:
-    """Return starts from the texture of two frames of one gel, grey arrays of shape (H, W) of one size, without
-    rotation."""
+    """Return starts from the texture of two frames of one gel, grey arrays (H, W) of one size, without rotation."""
     step = max(1, int(np.ceil(max(frames[0].shape) / TEXTURE_PX)))
     fields = []
     for frame in frames:

@@ -29,8 +29,7 @@ def shade(
     elevation_deg: float = LIGHT_ELEVATION_DEG,
     exaggeration: float = 1.0,
 ) -> Float32Array:
-    """Return the brightness of a white diffuse surface: float32 array of shape (H, W), 0 to 1, NaN beside invalid
-    pixels.
+    """Return the brightness of a white diffuse surface: float32 array (H, W), 0 to 1, NaN beside invalid pixels.
 
     azimuth_deg : azimuth of the light, counter-clockwise from the right edge of the picture; 135 is the upper left
     elevation_deg : elevation of the light above the plane
@@ -109,8 +108,7 @@ def relief_rgb(height: HeightMap, low_um: float, high_um: float, exaggeration: f
 
 
 def tinted(height: HeightMap, brightness: Float32Array, flat: float, low_um: float, high_um: float) -> Picture:
-    """Return the picture of shape (H, W, 3): colour by height, darker or lighter than on a flat surface by its
-    brightness.
+    """Return the picture (H, W, 3): colour by height, darker or lighter than on a flat surface by its brightness.
 
     brightness : float32 array of shape (H, W), 0 to 1; NaN becomes white
     flat : brightness of a flat surface under the same light

@@ -52,8 +52,7 @@ def blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float3
 
 
 def heights(values: Float32Array, width_px: float) -> Float32Array:
-    """Return the height of a round change at each place: float32 array of shape (h, w), NaN where too little is valid
-    around.
+    """Return the height of a round change at each place: float32 array (h, w), NaN where too little is valid around.
 
     values : float32 array of shape (h, w), difference of heights, NaN where unknown
     width_px : standard deviation of the change's Gaussian
@@ -229,8 +228,7 @@ def _small(values: Float32Array, step: int, size: tuple[int, int]) -> Float32Arr
 
 
 def _within(values: Float32Array) -> Float32Array:
-    """Return the relief that the gain is taken from, NaN where too little is valid around: float32 array of shape (h,
-    w)."""
+    """Return the relief that the gain is taken from, NaN where too little is valid around: float32 array (h, w)."""
     fine, _ = blurred(values, GAIN_PX[0])
     wide, share = blurred(values, GAIN_PX[1])
     return np.asarray(np.where(share > MIN_FILLED, fine - wide, np.float32(np.nan)), np.float32)

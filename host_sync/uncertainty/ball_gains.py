@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 
 MIN_PIXELS: Final = 50
-"""In a band of tilt, for a ball to tell its gain."""
+"""In a band of tilt, for a ball to determine its gain."""
 
 SECTORS: Final = 4
 """Opposite sectors of a ball count as one: what a centre that is off does to them cancels. How far the sectors differ
@@ -72,7 +72,7 @@ def gains_of_ball(
 
 
 def with_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> list[int]:
-    """Return numbers of the balls that tell a gain in every band."""
+    """Return numbers of the balls that determine a gain in every band."""
     return [number for number, (gain, _) in enumerate(balls) if np.isfinite(gain).all()]
 
 

@@ -78,8 +78,7 @@ def calibration_uncertainty(
 
 
 def jackknifed(read: Float32Array) -> Float32Array:
-    """Return deviations of what K replicas read, arrays of shape (K, ...), so scaled that their squares add to a
-    variance."""
+    """Return deviations of what K replicas read, arrays (K, ...), so scaled that their squares add to a variance."""
     return np.asarray(np.float32(np.sqrt((len(read) - 1) / len(read))) * (read - read.mean(axis=0)), np.float32)
 
 

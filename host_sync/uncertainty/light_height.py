@@ -48,8 +48,7 @@ def nearness_per_px(training: BallSamples, shape: tuple[int, int]) -> float:
 def _of_points(
     slope: Float64Array, place: Float64Array, brightness: Float64Array, shape: tuple[int, int]
 ) -> Float64Array:
-    """Return how directions change over the field under points of one height: float64 array of shape (features,
-    channels).
+    """Return how directions change over the field under points of one height: float64 array (features, channels).
 
     A ball's apex is nearer to the lights than its rim and brighter: a constant and |g|² take that up.
     """

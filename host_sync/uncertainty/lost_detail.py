@@ -43,8 +43,7 @@ SlopePair = tuple[Float32Array, Float32Array]
 
 
 def lost_variance(raw: SlopePair, shrunk: SlopePair, noise: SlopeNoise) -> Float32Array:
-    """Return the variance of either slope that the surface with shrunk detail lacks, on cells: float32 array of shape
-    (h, w).
+    """Return the variance of either slope that the surface with shrunk detail lacks, on cells: float32 array (h, w).
 
     raw, shrunk : slopes p and q of both surfaces, float32 arrays of shape (H, W)
     noise : of the calibration

@@ -126,7 +126,9 @@ class FrameSolver:
             self._coarse = _coarse_calibration(calibration, self._cell)
             self._coarse_rest = self._coarse.flat_field
         self._intensity = empty_intensity(self.shape)
-        self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape)) if method == "direct" else None
+        self._slopes: SlopeKernel | None = None
+        if method == "direct" and self._cell > 1:
+            self._slopes = SlopeKernel(calibration.inverse.map, empty_gradients(self.shape))
         self._coarse_slopes = SlopeKernel(self._coarse.inverse.map)
         at_rest = calibration.skin_at_rest
         self._rest = at_rest

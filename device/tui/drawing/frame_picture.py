@@ -42,8 +42,7 @@ class Circle:
 def shown_colours(
     picture: NDArray[np.uint8], rows: int, columns: int, before: Float32Array | None = None
 ) -> Float32Array:
-    """Return colours of a live picture, uint8 array of shape (h, w, 3), in at most `rows` x `columns` cells, two a
-    cell.
+    """Return colours of a live picture, uint8 array (h, w, 3), in at most `rows` x `columns` cells, two a cell.
 
     before : colours that are shown; one that hardly differs stays, so that noise sends nothing to the terminal
     """
