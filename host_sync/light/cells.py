@@ -27,9 +27,8 @@ FIRST_STEPS: Final = 3
 STEPS: Final = (2, 2, 2)
 """Steps from level heights, and in each round after the heights were found."""
 
-STEP: Final = 1e-3
 MAX_MOVE: Final = 0.3
-"""Slope by which derivatives are taken, and by which one step moves at most."""
+"""Slope by which one step moves at most."""
 
 HIDDEN_SIGMA: Final = 0.3
 """Standard uncertainty of light that other skin hides, as a fraction of it: heights on the ray are not sure."""
@@ -162,8 +161,8 @@ class Cells:
         variance = model.variance(found.slope) + np.square(by_zero)
         if self.uneven is not None:
             variance += np.square(UNEVEN_ERROR * self.uneven)
-        limits = (STEP, MAX_MOVE, HIDDEN_SIGMA, OUTLYING, ELEVATION)
-        work = len(slope), 40 * steps * len(model.sources)
+        limits = (MAX_MOVE, HIDDEN_SIGMA, OUTLYING, ELEVATION)
+        work = len(slope), 15 * steps * len(model.sources)
         parallel_rows(
             write_search, work, sources, skin, (counted, variance), (expected, known), limits, steps,
             slope, change, weight,

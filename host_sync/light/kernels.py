@@ -62,6 +62,8 @@ def ray_to(point: Any, axis: Any, coat: Any, x: Any, y: Any, z: Any) -> Any:
 def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
     """Return the share of a ray that a coat reflects: of cosines between normal and light, normal and camera, light and
     camera."""
+    if lit == 0.0:
+        return 0.0
     even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
     together = max(between - lit * seen, 0.0) / max(max(lit, seen), GRAZING)
     rough = lit * (even + uneven * together)
@@ -76,6 +78,52 @@ def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
     return (1.0 - gloss) * rough + gloss * shining
 
 
+@njit(cache=True, error_model="numpy")
+def reflected_changes(lit: Any, seen: Any, between: Any, unmasked: Any, by_unmasked: Any, coat: Any) -> Any:
+    """Return the reflected share of a ray above the horizon, and its derivatives by `lit` and `seen`.
+
+    lit, seen, between, coat : see `reflected`
+    unmasked, by_unmasked : see `unmasked_changes`
+    """
+    even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
+    excess, largest = between - lit * seen, max(max(lit, seen), GRAZING)
+    together, by_lit, by_seen = 0.0, 0.0, 0.0
+    if excess > 0.0:
+        together = excess / largest
+        by_lit = -(seen + (together if lit >= seen else 0.0)) / largest
+        by_seen = -(lit + (0.0 if lit >= seen else together)) / largest
+    rough, rough_by_seen = lit * (even + uneven * together), lit * uneven * by_seen
+    rough_by_lit = even + uneven * together + lit * uneven * by_lit
+    if gloss == 0.0:
+        return rough, rough_by_lit, rough_by_seen
+    wide = np.sqrt(2.0 + 2.0 * between)
+    half, by_half = (lit + seen) / wide, 1.0 / wide
+    if half > 1.0:
+        half, by_half = 1.0, 0.0
+    ratio = 2.0 * (1.0 / narrow - 1.0) / tail
+    spread = 1.0 + (1.0 - half * half) * ratio
+    facets = spread**-tail / (np.pi * narrow)
+    root = np.sqrt(narrow + (1.0 - narrow) * lit * lit)
+    whole = lit + root + 1e-9
+    arriving = 2.0 * lit / whole
+    by_arriving = 2.0 / whole - arriving / whole * (1.0 + (1.0 - narrow) * lit / root)
+    shining = facets * arriving * unmasked
+    turning = shining * 2.0 * tail * half * ratio / spread * by_half
+    return (
+        (1.0 - gloss) * rough + gloss * shining,
+        (1.0 - gloss) * rough_by_lit + gloss * (turning + facets * by_arriving * unmasked),
+        (1.0 - gloss) * rough_by_seen + gloss * (turning + facets * arriving * by_unmasked),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def unmasked_changes(seen: Any, narrow: Any) -> Any:
+    """Return the share of a lobe that facets do not hide from the camera, over 4 `seen`, and its derivative."""
+    root = np.sqrt(narrow + (1.0 - narrow) * seen * seen)
+    whole = seen + root + 1e-9
+    return 0.5 / whole, -0.5 / (whole * whole) * (1.0 + (1.0 - narrow) * seen / root)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_search(
     sources: Any, skin: Any, seen: Any, prior: Any, limits: Any, steps: int, slope: Any, change: Any, weight: Any,
@@ -88,8 +136,8 @@ def write_search(
         rest (N, C) and the residual's coefficients (N, C, M + 1)
     seen : intensity and the variance of its prediction, shape (N, C)
     prior : slopes expected beforehand, shape (N, 2), and one over their variance, shape (N,)
-    limits : slope by which derivatives are taken, longest step, standard uncertainty of light that another place hides
-        as a fraction of it, and standard deviations at which an error counts half, and `ELEVATION`
+    limits : longest step, standard uncertainty of light that another place hides as a fraction of it, standard
+        deviations at which an error counts half, and `ELEVATION`
     change : receives the derivatives of intensity, shape (N, C, 2)
     weight : receives one over the variance that each channel was given in the last step, shape (N, C)
     """
@@ -97,11 +145,12 @@ def write_search(
     x, y, z, rest, visible, incoming, residual = skin
     intensity, variance = seen
     expected, known = prior
-    delta, longest, hidden_sigma, outlying, elevation = limits
+    longest, hidden_sigma, outlying, elevation = limits
     count, channels, terms = points.shape[0], strengths.shape[0], exponents.shape[0]
     rays, normal = np.empty((count, points.shape[1], 5)), np.empty((3, 4))
     light, shown, dark = np.empty((3, count)), np.empty((3, channels)), np.empty(channels)
     powers, values = np.empty((2, 5)), np.empty((terms + 1, 3))
+    values[terms, 1] = values[terms, 2] = 0.0
     for i in range(first, last):
         v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
         for source in range(count):
@@ -109,39 +158,61 @@ def write_search(
                 l0, l1, l2, bright = ray_to(points[source, point], axes[source], coat, x[i], y[i], z[i])
                 rays[source, point, 0], rays[source, point, 1], rays[source, point, 2] = l0, l1, l2
                 rays[source, point, 3], rays[source, point, 4] = l0 * v0 + l1 * v1 + l2 * v2, bright
+        values[terms, 0] = z[i] / elevation
         for _ in range(steps):
+            # The normal, its derivatives by p and q, and in the last column its cosine to the camera.
+            p, q = slope[i, 0], slope[i, 1]
+            up = 1.0 / np.sqrt(1.0 + p * p + q * q)
+            cube = up * up * up
+            normal[0, 0], normal[0, 1], normal[0, 2] = -p * up, -q * up, up
+            normal[1, 0], normal[1, 1], normal[1, 2] = p * p * cube - up, p * q * cube, -p * cube
+            normal[2, 0], normal[2, 1], normal[2, 2] = p * q * cube, q * q * cube - up, -q * cube
             for k in range(3):
-                p = slope[i, 0] + delta * (k == 1)
-                q = slope[i, 1] + delta * (k == 2)
-                up = 1.0 / np.sqrt(1.0 + p * p + q * q)
-                normal[k, 0], normal[k, 1], normal[k, 2] = -p * up, -q * up, up
-                normal[k, 3] = max(-p * up * v0 - q * up * v1 + up * v2, GRAZING)
+                normal[k, 3] = normal[k, 0] * v0 + normal[k, 1] * v1 + normal[k, 2] * v2
+            if normal[0, 3] < GRAZING:
+                normal[0, 3], normal[1, 3], normal[2, 3] = GRAZING, 0.0, 0.0
+            unmasked, by_unmasked = unmasked_changes(normal[0, 3], coat[4])
+            tilted = 1.0 + coat[6] * (1.0 - up)
             for source in range(count):
-                for k in range(3):
-                    total = 0.0
-                    for point in range(points.shape[1]):
-                        lit = normal[k, 0] * rays[source, point, 0] + normal[k, 1] * rays[source, point, 1]
-                        lit = max(lit + normal[k, 2] * rays[source, point, 2], 0.0)
-                        total += rays[source, point, 4] * reflected(lit, normal[k, 3], rays[source, point, 3], coat)
-                    light[k, source] = total * (1.0 + coat[6] * (1.0 - normal[k, 2]))
+                light[0, source] = light[1, source] = light[2, source] = 0.0
+                for point in range(points.shape[1]):
+                    l0, l1, l2 = rays[source, point, 0], rays[source, point, 1], rays[source, point, 2]
+                    lit = normal[0, 0] * l0 + normal[0, 1] * l1 + normal[0, 2] * l2
+                    if lit <= 0.0:
+                        continue
+                    bright = rays[source, point, 4]
+                    share, by_lit, by_seen = reflected_changes(
+                        lit, normal[0, 3], rays[source, point, 3], unmasked, by_unmasked, coat
+                    )
+                    light[0, source] += bright * share
+                    for k in range(1, 3):
+                        lit_by = normal[k, 0] * l0 + normal[k, 1] * l1 + normal[k, 2] * l2
+                        light[k, source] += bright * (by_lit * lit_by + by_seen * normal[k, 3])
+                for k in range(1, 3):
+                    light[k, source] = tilted * light[k, source] - coat[6] * normal[k, 2] * light[0, source]
+                light[0, source] *= tilted
             for channel in range(channels):
                 dark[channel] = 0.0
                 for k in range(3):
-                    total = haze[channel]
+                    total = haze[channel] if k == 0 else 0.0
                     for source in range(count):
                         total += strengths[channel, source] * visible[i, source] * light[k, source]
-                    shown[k, channel] = total / rest[i, channel] + incoming[i, channel]
+                    shown[k, channel] = total / rest[i, channel]
+                shown[0, channel] += incoming[i, channel]
                 for source in range(count):
                     dark[channel] += strengths[channel, source] * (1.0 - visible[i, source]) * light[0, source]
                 dark[channel] /= rest[i, channel]
-            for k in range(3):
-                powers[0, 0] = powers[1, 0] = 1.0
-                for order in range(1, 5):
-                    powers[0, order] = powers[0, order - 1] * normal[k, 0]
-                    powers[1, order] = powers[1, order - 1] * normal[k, 1]
-                for term in range(terms):
-                    values[term, k] = powers[0, exponents[term, 0]] * powers[1, exponents[term, 1]]
-                values[terms, k] = z[i] / elevation
+            powers[0, 0] = powers[1, 0] = 1.0
+            for order in range(1, 5):
+                powers[0, order] = powers[0, order - 1] * normal[0, 0]
+                powers[1, order] = powers[1, order - 1] * normal[0, 1]
+            for term in range(terms):
+                across, down = exponents[term, 0], exponents[term, 1]
+                values[term, 0] = powers[0, across] * powers[1, down]
+                by_across = across * powers[0, max(across - 1, 0)] * powers[1, down]
+                by_down = down * powers[0, across] * powers[1, max(down - 1, 0)]
+                values[term, 1] = by_across * normal[1, 0] + by_down * normal[1, 1]
+                values[term, 2] = by_across * normal[2, 0] + by_down * normal[2, 1]
             for channel in range(channels):
                 level, right, below = shown[0, channel], shown[1, channel], shown[2, channel]
                 for term in range(terms + 1):
@@ -153,8 +224,7 @@ def write_search(
             pp, pq, qq = known[i], 0.0, known[i]
             along_p, along_q = known[i] * (expected[i, 0] - slope[i, 0]), known[i] * (expected[i, 1] - slope[i, 1])
             for channel in range(channels):
-                by_p = (shown[1, channel] - shown[0, channel]) / delta
-                by_q = (shown[2, channel] - shown[0, channel]) / delta
+                by_p, by_q = shown[1, channel], shown[2, channel]
                 error = intensity[i, channel] - shown[0, channel]
                 spread = variance[i, channel] + (hidden_sigma * dark[channel]) ** 2
                 counts = 1.0 / (spread + error * error / (outlying * outlying))

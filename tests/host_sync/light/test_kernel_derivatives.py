@@ -9,7 +9,8 @@ import pytest
 
 from device.surface.fields import Float64Array
 from host_sync.light.kernel_derivatives import EXTENT, light_derivatives
-from host_sync.light.model import PLACES, TERMS, LightModel
+from host_sync.light.kernels import write_search
+from host_sync.light.model import ELEVATION, MONOMIALS, PLACES, TERMS, LightModel
 from host_sync.light.numbers import COAT, COAT_START, Numbers
 
 STEP = 1e-5
@@ -59,3 +60,26 @@ def test_derivatives_by_sources_and_coat_are_differences_of_the_light(coat: Floa
             moved[number] += sign * STEP
             ends.append(model(replace(at, coat=moved)).light(p, q, x, y, z))
         np.testing.assert_allclose(by_coat[..., number], (ends[0] - ends[1]) / (2 * STEP), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("coat", COATS.values(), ids=COATS.keys())
+def test_a_searchs_derivatives_by_slope_are_differences_of_the_intensity(coat: Float64Array) -> None:
+    rng = np.random.default_rng(1)
+    of = replace(model(numbers(coat)), residual=rng.normal(0.0, 0.02, (3, TERMS, PLACES)))
+    count = 200
+    slope = rng.uniform(-0.6, 0.6, (count, 2))
+    places = rng.uniform(-0.5, 0.5, count), rng.uniform(-0.4, 0.4, count), rng.uniform(0.0, 0.05, count)
+    incoming = rng.uniform(0.0, 0.1, (count, 3))
+    x, y, _ = places
+    skin = (*places, of.rest(x, y), np.ones((count, 3)), of.albedo * incoming, of.residual_at(x, y))
+    sources = (*of.geometry, of.coat, of.strengths, of.haze, np.array(MONOMIALS, np.intp))
+    change, weight = np.empty((count, 3, 2)), np.empty((count, 3))
+    seen = of.intensity(slope, places, incoming), np.ones((count, 3))
+    found = slope.copy()
+    write_search(
+        sources, skin, seen, (slope, np.ones(count)), (0.3, 0.3, 4.0, ELEVATION), 1, found, change, weight, 0, count
+    )
+    np.testing.assert_allclose(found, slope, atol=1e-9)
+    for axis, step in enumerate(STEP * np.eye(2)):
+        ends = [of.intensity(slope + sign * step, places, incoming) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(change[..., axis], (ends[0] - ends[1]) / (2 * STEP), rtol=1e-3, atol=1e-4)
