@@ -32,7 +32,7 @@ def open_hardware(profile: BoardProfile, clock: Clock | None = None, seed: int |
 
         return usb_hardware(profile, clock or SystemClock())
     if profile.driver == "twin-camera":
-        from hal.simulator.mirrored_board import mirrored_board_hardware
+        from hal.simulator.hardware import mirrored_board_hardware
 
         return mirrored_board_hardware(profile, clock or SystemClock(), seed)
     from hal.simulator.bench import build

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -12,14 +13,15 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, Float64Array, GradientField
+from host_sync.denoising.blur_correction import BLUR_PX
 from host_sync.integration.datum import cell_means
 from host_sync.kernels.cell_rows import WHOLE_CELL, WIDEST_CELLS, means_of_cells, middles_of_cells
-from host_sync.light.bent_cells import slopes_hidden_by_means
+from host_sync.kernels.jit import njit
+from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.cell_correction import CellCorrection, SlopePair
 from host_sync.light.cells import SHADOW_WEIGHT, Cells, CellSlopes
 from host_sync.light.fit import FittedLight
-from host_sync.light.model import LightModel
-from host_sync.light.raised_field import RaisedField, intensity_changes, solve_raised
+from host_sync.light.model import ELEVATION, LightModel
 from host_sync.uncertainty.calibration_uncertainty import jackknifed
 from host_sync.uncertainty.elevation import ElevationCorrection
 
@@ -141,3 +143,169 @@ def _unexplained(model: LightModel, slope: Float64Array) -> Iterator[Float64Arra
     steep = np.linalg.norm(slope, axis=1) / (np.sqrt(0.5) * model.steepest)
     for channel in np.eye(len(sigma)):
         yield steep[:, None] * sigma * channel
+
+
+# Cells of bent skin: what their mean light hides of their slope.
+#
+# A coat answers to the direction of its normal, and light adds up over a cell. The mean of unit normals, (-p, -q, 1)
+# over √(1 + p² + q²), leans less than the mean slope says. On the edge of a step that hides up to a micrometre of
+# height, on a ball a thousandth of that.
+
+SAMPLES: Final = 4
+"""Pixels along a cell whose slopes are asked, at least."""
+
+MAX_SHARE: Final = 0.1
+"""Share of a cell's slope that may be hidden; slopes that differ by more are misread."""
+
+
+def slopes_hidden_by_means(
+    gradients: GradientField, size: tuple[int, int], cell: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return how much mean slopes of `size` (h, w) cells are steeper than their mean light shows, shape (h, w, 2).
+
+    Over a cell slopes differ as pixels show, and within a pixel as they change over the camera's blur. The other array,
+    of shape (h, w, 3), holds the covariance of the pixels' normals: of their components along columns, of both, and
+    along rows.
+
+    gradients : slopes of pixels
+    cell : pixels along a cell
+    """
+    sums = np.zeros((12, *size), np.float32)
+    step = max(1, cell // SAMPLES)
+    parallel_rows(_add_normals, size, gradients.p, gradients.q, gradients.valid, cell, step, sums)
+    means = sums.astype(np.float64) / np.maximum(sums[8], 1.0)
+    p, q, p_normal, q_normal, normal, pp, pq, qq = means[:8]
+    spread = means[9:] - np.stack([p_normal * p_normal, p_normal * q_normal, q_normal * q_normal])
+    square, normal = 1.0 + p * p + q * q, np.maximum(normal, 1e-6)
+    blur = 0.25 * BLUR_PX**2
+    p_hidden = p - p_normal / normal + blur * (pp * p + pq * q) / square
+    q_hidden = q - q_normal / normal + blur * (pq * p + qq * q) / square
+    share = np.hypot(p_hidden, q_hidden) / np.maximum(np.sqrt(square - 1.0), 1e-12)
+    believed = np.minimum(1.0, MAX_SHARE / np.maximum(share, 1e-12))
+    return np.stack([believed * p_hidden, believed * q_hidden], axis=-1), np.moveaxis(spread, 0, -1)
+
+
+@njit(cache=True, nogil=True)
+def _add_normals(p: Any, q: Any, valid: Any, cell: int, step: int, sums: Any, first: int, last: int) -> None:
+    """Add up slopes, normals, products of slopes' differences over two pixels, and valid pixels, in rows of cells."""
+    rows, columns = valid.shape
+    one = np.float32(1.0)
+    own = np.empty(len(sums), np.float32)
+    for i in range(first, last):
+        for j in range(sums.shape[2]):
+            own[:] = 0.0
+            begin = step // 2 + (max(j * cell - step // 2, 0) + step - 1) // step * step
+            end = min((j + 1) * cell, columns)
+            for r in range(i * cell + step // 2, min((i + 1) * cell, rows), step):
+                for c in range(begin, end, step):
+                    if not valid[r, c]:
+                        continue
+                    x, y = p[r, c], q[r, c]
+                    normal = one / np.sqrt(one + x * x + y * y)
+                    own[0] += x
+                    own[1] += y
+                    own[2] += x * normal
+                    own[3] += y * normal
+                    own[4] += normal
+                    own[8] += one
+                    own[9] += x * normal * x * normal
+                    own[10] += x * normal * y * normal
+                    own[11] += y * normal * y * normal
+                    inner = 0 < r < rows - 1 and 0 < c < columns - 1
+                    if inner and valid[r - 1, c] and valid[r + 1, c] and valid[r, c - 1] and valid[r, c + 1]:
+                        px, py = p[r, c + 1] - p[r, c - 1], p[r + 1, c] - p[r - 1, c]
+                        qx, qy = q[r, c + 1] - q[r, c - 1], q[r + 1, c] - q[r - 1, c]
+                        own[5] += px * px + py * py
+                        own[6] += px * qx + py * qy
+                        own[7] += qx * qx + qy * qy
+            sums[:, i, j] = own
+
+
+# Elevation of a field in which no skin rests, and gains of its frame.
+#
+# Near light reaches raised skin at another angle and from less far. The channels determine two slopes of every cell.
+# What slopes cannot explain varies over the field by one pattern with elevation, and by others with the gain of every
+# channel.
+
+ROUNDS: Final = 8
+STEPS: Final = 2
+"""Rounds in which elevation and heights are found in turns, and steps of the slopes in each."""
+
+INDEPENDENT: Final = 64.0
+"""Places of a field at which errors of the model do not go together."""
+
+UNSHADED: Final = 0.1
+"""Hidden fraction of the light up to which a cell is counted."""
+
+STEP: Final = 0.02 * ELEVATION
+
+MIN_CELLS: Final = 200
+MIN_SIGMAS: Final = 3.0
+"""Standard uncertainties by which an elevation differs from none, at least."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RaisedField:
+    """Slopes of a field whose skin is raised as a whole.
+
+    cells : with intensity under the calibration's gains
+    found : their slopes
+    deviations : of elevation (widths of the field) and logarithms of gains, whose squares add to their variances and
+        products to their covariances: float64 array of shape (1 + C, 1 + C)
+    """
+
+    cells: Cells
+    found: CellSlopes
+    deviations: Float64Array
+
+
+def solve_raised(cells: Cells, found: CellSlopes, gain_sigma: float) -> RaisedField | None:
+    """Return slopes over the elevation of the field; None where light does not show that it is raised.
+
+    found : slopes over the elevation that level skin in it shows
+    gain_sigma : standard deviation of a frame's gains
+    """
+    if not len(cells.model.sources):
+        return None
+    channels = cells.intensity.shape[1]
+    prior = np.diag([ELEVATION**-2] + [gain_sigma**-2] * channels)
+    change, raised = np.zeros(1 + channels), cells
+    for _ in range(ROUNDS):
+        usable = cells.faithful & (found.shadow < UNSHADED)
+        if np.count_nonzero(usable) < MIN_CELLS:
+            return None
+        system, gradient = _normal_equations(raised, found, usable)
+        covariance = np.linalg.inv(system + prior)
+        change += covariance @ (gradient - prior @ change)
+        raised = replace(cells, intensity=cells.intensity * np.exp(-change[1:]))
+        found = raised.solve_raised(found, change[0] * cells.model.shape[1], STEPS)
+    if abs(change[0]) < MIN_SIGMAS * np.sqrt(covariance[0, 0]):
+        return None
+    size, along = np.linalg.eigh(covariance)
+    return RaisedField(raised, found, (along * np.sqrt(size)).T)
+
+
+def intensity_changes(cells: Cells, found: CellSlopes, here: np.ndarray) -> tuple[Float64Array, Float64Array]:
+    """Return the model's intensity (N, C) of some cells and its derivatives by elevation and gains, (N, C, 1 + C).
+
+    The residual field adds nothing to the derivative by elevation, for balls show elevation with tilt only.
+    """
+    x, y, z = (part[here] for part in cells.places(found.z_px))
+    shown = cells.model.intensity(found.slope[here], (x, y, z), found.incoming[here])
+    raised = cells.model.elevated(found.slope[here], (x, y, z), z + STEP) / STEP
+    return shown, np.concatenate([raised[:, :, None], shown[:, :, None] * np.eye(shown.shape[1])], axis=2)
+
+
+def _normal_equations(cells: Cells, found: CellSlopes, usable: np.ndarray) -> tuple[Float64Array, Float64Array]:
+    """Return the system and the gradient of elevation and gains, once slopes follow them."""
+    here = np.flatnonzero(usable)
+    shown, design = intensity_changes(cells, found, here)
+    slopes, weight = found.change[here], found.weight[here]
+    known = cells.prior_weight(found)[here, None, None] * np.eye(2)
+    own = np.einsum("ncj,nc,nck->njk", slopes, weight, slopes) + known
+    mixed = np.einsum("ncj,nc,nck->njk", slopes, weight, design)
+    system = np.einsum("ncj,nc,nck->jk", design, weight, design)
+    system -= np.einsum("nij,nik->jk", mixed, np.linalg.solve(own, mixed))
+    gradient = np.einsum("ncj,nc,nc->j", design, weight, cells.intensity[here] - shown)
+    fraction = INDEPENDENT / len(here)
+    return fraction * system, fraction * gradient

@@ -24,8 +24,8 @@ from hal.drivers.board_hardware import Machine, board_hardware
 from hal.errors import LightError
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene, build
+from hal.simulator.hardware import led_model, lighting
 from hal.simulator.led_chips import LedDriverModel
-from hal.simulator.mirrored_board import led_model, lighting
 from hal.simulator.operator import TwinOperator
 
 Chip = Literal["PCA9955B", "TLC59116"]

@@ -6,7 +6,7 @@ import pytest
 
 from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.history_lines import BARS, movie_text
+from device.tui.screens.scans import BARS, movie_text
 
 
 def movie(depths_um: tuple[float | None, ...]) -> MovieRecord:

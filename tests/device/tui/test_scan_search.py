@@ -9,7 +9,7 @@ import pytest
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.instrument.history import ScanEntry
 from device.store.choices import Opinion, ScanMark
-from device.tui.drawing.history_lines import chosen_scans
+from device.tui.screens.scans import chosen_scans
 
 
 def scan(

@@ -17,8 +17,8 @@ from hal.errors import BoardProfileError, LightError
 from hal.factory import open_hardware
 from hal.hardware import Hardware
 from hal.simulator.bench import build
+from hal.simulator.hardware import MirroredBus, mirrored_board_hardware
 from hal.simulator.led_chips import Pca9955bModel
-from hal.simulator.mirrored_board import MirroredBus, mirrored_board_hardware
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 from device.balls.sphere import Ball
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from host_sync.calibration.free_skin import FREE_RADII, MIN_PRESSES, free_skin_slopes, with_free_skin
+from host_sync.calibration.slope_models import FREE_RADII, MIN_PRESSES, free_skin_slopes, with_free_skin
 
 SHAPE = (180, 240)
 NODES = (6, 8)

@@ -11,11 +11,18 @@ import pytest
 from device.calibration.acceptance import Check
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.inverse_map.illumination import IlluminationMap
-from host_sync.calibration.assessment import PIXEL_SHAPE, Assessment, checks, diameter_note, widest_contact
+from host_sync.calibration.assessment import (
+    PIXEL_SHAPE,
+    Assessment,
+    PixelShape,
+    checks,
+    diameter_note,
+    measure_pixel_shape,
+    widest_contact,
+)
 from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
-from host_sync.calibration.pixel_shape import PixelShape, measure_pixel_shape
 from host_sync.calibration.scale import ScaleUncertainty
 from host_sync.frames.square_pixels import square_frame
 

@@ -8,7 +8,7 @@ import pytest
 
 from device.surface.fields import Float32Array, GradientField
 from host_sync.denoising.blur_correction import BLUR_PX
-from host_sync.light.bent_cells import slopes_hidden_by_means
+from host_sync.light.reading import slopes_hidden_by_means
 
 CELL = 4
 SHAPE = (80, 120)

@@ -9,7 +9,7 @@ from near_lamps import SHAPE, NearLamps, balls
 
 from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
 from host_sync.light.cells import Cells
-from host_sync.light.raised_field import RaisedField, solve_raised
+from host_sync.light.reading import RaisedField, solve_raised
 
 LAMP_PX = 180.0
 LAMPS = NearLamps(LAMP_PX)

@@ -9,8 +9,8 @@ import pytest
 from matt_light import matt_model
 from numba import get_num_threads, set_num_threads
 
+from host_sync.light.cells import visible_fraction
 from host_sync.light.model import LightModel
-from host_sync.light.visibility import visible_fraction
 
 CELL = 4
 SHAPE = (160, 240)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host_sync.uncertainty.inflation import LONE_BALL_INFLATION, MEAN_OF_TWO, BandErrors, Inflation
+from host_sync.uncertainty.slope_error import LONE_BALL_INFLATION, MEAN_OF_TWO, BandErrors, Inflation
 
 
 def test_without_noise_the_factor_is_the_ratio_of_errors() -> None:

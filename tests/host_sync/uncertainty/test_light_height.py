@@ -5,7 +5,7 @@ import pytest
 
 from device.balls.sphere import Ball, BallSamples, gather_samples, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
-from host_sync.uncertainty.light_height import nearness_per_px
+from host_sync.uncertainty.elevation import nearness_per_px
 
 SHAPE = (240, 320)
 HEIGHT_PX = 400.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from host_sync.uncertainty.resolution_uncertainty import BLUR_PX, unresolved_slope
+from host_sync.uncertainty.calibration_uncertainty import BLUR_PX, unresolved_slope
 
 SHAPE = (120, 160)
 ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)

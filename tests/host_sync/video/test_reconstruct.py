@@ -30,8 +30,7 @@ from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
 from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
 from host_sync.video.coarse import WIDEST_PX, corrects_coarsely
 from host_sync.video.frame_solver import FrameSolver
-from host_sync.video.height_stack import HeightStack, open_heights
-from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
+from host_sync.video.reconstruct import HeightStack, SequenceOptions, open_heights, reconstruct_sequence
 from tests.apparatus.plain_calibration import plain_calibration
 
 SHAPE = (120, 160)

@@ -22,7 +22,7 @@ from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictReco
 from device.store.store import BundleStore
 from device.surface.fields import Float32Array
 from host_sync.results.field_file import write_field
-from host_sync.video.height_stack import HeightStack
+from host_sync.video.reconstruct import HeightStack
 from host_sync.viewer.access import Access
 from host_sync.viewer.app import make_app
 from host_sync.viewer.catalogue import Catalogue
