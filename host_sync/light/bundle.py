@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array, MaskArray
-from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernel_derivatives import EXTENT, light_derivatives
-from host_sync.light.kernels import write_light
-from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms, source_points
+from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms
 from host_sync.light.numbers import COAT, COAT_SIGMA, COAT_START, Numbers
 
 SAMPLES: Final = 3000
@@ -74,6 +72,7 @@ class Bundle:
     steepest: float
     residual_sigma: float = 0.003
     stage: Literal["sources", "residual", "normals"] = "sources"
+    _lit: dict[str, _Lit] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -140,23 +139,44 @@ class Bundle:
 
     def errors(self, numbers: Numbers) -> Float64Array:
         """Return the predicted less seen intensity, shape (N, C)."""
-        return self._terms(numbers).shown - self.intensity
+        return self.terms(numbers).shown - self.intensity
 
-    def _terms(self, numbers: Numbers) -> _Terms:
+    def terms(self, numbers: Numbers, *, keep: bool = True) -> _Terms:
+        """Return the predicted intensity and its parts.
+
+        keep : the light of these numbers for the next call, which often has the same sources or centres
+        """
+        lit = self._light(numbers, keep=keep)
+        model = self.model(numbers)
+        at_rest = np.maximum(model.mixed(lit.rest), 1e-6)
+        ratio = model.mixed(lit.light) / at_rest
+        shown = ratio + model.albedo * self.incoming + lit.features @ numbers.residual.T
+        return _Terms(np.nan_to_num(shown, nan=30.0), lit, ratio, at_rest)
+
+    def _light(self, numbers: Numbers, *, keep: bool) -> _Lit:
+        sources = (numbers.place.tobytes(), numbers.extent.tobytes(), numbers.coat.tobytes())
+        before, shift = self._lit.get("last"), numbers.shift.tobytes()
+        if before is not None and before.sources != sources:
+            before = None
+        if before is not None and before.shift == shift:
+            return before
         p, q, z = self.sphere(numbers.shift)
         model, level = self.model(numbers), np.zeros_like(p)
-        light, rest = model.light(p, q, self.x, self.y, z), model.light(level, level, self.x, self.y, level)
-        mixed, at_rest = model.mixed(light), np.maximum(model.mixed(rest), 1e-6)
+        light = model.light(p, q, self.x, self.y, z)
+        rest = model.light(level, level, self.x, self.y, level) if before is None else before.rest
         features = (residual_terms(p, q, z)[:, :, None] * self.places[:, None]).reshape(len(p), -1)
-        shown = mixed / at_rest + model.albedo * self.incoming + features @ numbers.residual.T
-        return _Terms(np.nan_to_num(shown, nan=30.0), p, q, z, light, rest, mixed / at_rest, at_rest, features)
+        found = _Lit(sources, shift, p, q, z, light, rest, features)
+        if keep:
+            self._lit["last"] = found
+        return found
 
     def _source_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
         """Yield derivatives of the intensity (N, C) by the numbers of sources and coat, in their order."""
-        model, level = self.model(numbers), np.zeros_like(terms.p)
-        skin, ground = (terms.p, terms.q, self.x, self.y, terms.z), (level, level, self.x, self.y, level)
-        by_source, by_coat = light_derivatives(numbers, model, skin, terms.light)
-        source_below, coat_below = light_derivatives(numbers, model, ground, terms.rest)
+        lit = terms.lit
+        model, level = self.model(numbers), np.zeros_like(lit.p)
+        skin, ground = (lit.p, lit.q, self.x, self.y, lit.z), (level, level, self.x, self.y, level)
+        by_source, by_coat = light_derivatives(numbers, model, skin, lit.light)
+        source_below, coat_below = light_derivatives(numbers, model, ground, lit.rest)
         for axes in (range(3), range(3, EXTENT)):
             for source in range(len(numbers.place)):
                 for axis in axes:
@@ -166,7 +186,7 @@ class Bundle:
         for channel in range(channels):
             for source in range(len(numbers.place)):
                 change = np.zeros_like(terms.shown)
-                less = terms.light[:, source] - terms.ratio[:, channel] * terms.rest[:, source]
+                less = lit.light[:, source] - terms.ratio[:, channel] * lit.rest[:, source]
                 change[:, channel] = less / terms.at_rest[:, channel]
                 yield change
         for channel in range(channels):
@@ -184,7 +204,8 @@ class Bundle:
         for axis in (0, 1):
             shift = numbers.shift.copy()
             shift[:, axis] += CENTRE_STEP_PX
-            shifted.append((self._terms(replace(numbers, shift=shift)).shown - terms.shown) / CENTRE_STEP_PX)
+            there = self.terms(replace(numbers, shift=shift), keep=False)
+            shifted.append((there.shown - terms.shown) / CENTRE_STEP_PX)
         for ball in range(len(self.balls)):
             for axis in (0, 1):
                 yield shifted[axis] * (self.ball == ball)[:, None]
@@ -243,14 +264,14 @@ class Bundle:
     def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, _Jacobian]:
         """Return the normal equations of the numbers that are searched for, and the derivatives that they are made
         of."""
-        terms = self._terms(numbers)
+        terms = self.terms(numbers)
         error = terms.shown - self.intensity
         columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []
         columns += self._shift_columns(numbers, terms)
-        features = terms.features[:, :0] if self.stage == "sources" else terms.features
+        features = terms.lit.features[:, :0] if self.stage == "sources" else terms.lit.features
         weight = 1.0 / (self.sigma**2 + np.square(error / OUTLYING))
         jacobian = _Jacobian(np.stack(columns, axis=-1), features, error, weight)
-        system, gradient = jacobian.normal_equations(np.ones(len(self.ball), np.bool_))
+        system, gradient = jacobian.normal_equations(slice(None))
         expected, prior = (part[self._free(numbers)] for part in self._prior(numbers))
         system[np.diag_indices_from(system)] += prior
         return system, gradient + prior * (numbers.packed()[self._free(numbers)] - expected), jacobian
@@ -289,36 +310,6 @@ class Bundle:
         sigma = 1.4826 * np.median(np.abs(self.errors(numbers)), axis=0)
         return replace(self, sigma=np.maximum(sigma, MIN_SIGMA))
 
-    def with_source(self, numbers: Numbers) -> Numbers:
-        """Return the numbers with one source more a channel, where it explains most of what is left."""
-        terms, model = self._terms(numbers), self.model(numbers)
-        missing = self.intensity - terms.shown
-        weight = 1.0 / (self.sigma**2 + np.square(missing / OUTLYING))
-        angle, near, slant = np.meshgrid(np.arange(16) * (np.pi / 8), (0.4, 0.8), (0.25, 0.6, 1.2), indexing="ij")
-        places = np.stack([near * np.cos(angle), near * np.sin(angle), near * slant], axis=-1).reshape(-1, 3)
-        tried = np.concatenate([places, np.full((len(places), 2), 0.2)], axis=1)
-        level = np.zeros_like(terms.p)
-        light = _one_light(tried, model, (terms.p, terms.q, self.x, self.y, terms.z))
-        rest = _one_light(tried, model, (level, level, self.x, self.y, level))
-        chosen, strengths = [], np.zeros((missing.shape[1], missing.shape[1]))
-        for channel in range(missing.shape[1]):
-            change = (light - terms.ratio[:, channel, None] * rest) / terms.at_rest[:, channel, None]
-            weighted = weight[:, channel, None] * change
-            bright = (weighted * missing[:, channel, None]).sum(axis=0) / np.maximum(
-                (weighted * change).sum(axis=0), 1e-12
-            )
-            gain = np.maximum(bright, 0.0) * (weighted * missing[:, channel, None]).sum(axis=0)
-            best = int(np.argmax(gain))
-            chosen.append(tried[best])
-            strengths[channel, channel] = np.clip(bright[best], 0.0, 0.3)
-        added = np.array(chosen)
-        place = np.concatenate([added[:, :2], np.log(added[:, 2:3])], axis=1)
-        return replace(
-            numbers, place=np.concatenate([numbers.place, place]),
-            extent=np.concatenate([numbers.extent, added[:, 3:]]),
-            strength=np.concatenate([numbers.strength, strengths], axis=1),
-        )  # fmt: skip
-
     def without_sources(self, numbers: Numbers) -> Numbers:
         """Return the numbers of a model whose residual field explains all."""
         channels = len(numbers.haze)
@@ -330,18 +321,33 @@ class Bundle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Terms:
-    """Parts of the predicted intensity: of samples (N,), light of sources (N, S), channels (N, C)."""
+class _Lit:
+    """Light of sources on the samples (N, S), and what it follows from.
 
-    shown: Float64Array
+    sources, shift : numbers of sources and coat, and shifts of the centres, as bytes
+    p, q, z : slopes and elevations of the samples, shape (N,)
+    light, rest : on them, and on skin at rest, shape (N, S)
+    features : terms of the residual field, shape (N, terms)
+    """
+
+    sources: tuple[bytes, ...]
+    shift: bytes
     p: Float64Array
     q: Float64Array
     z: Float64Array
     light: Float64Array
     rest: Float64Array
+    features: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Terms:
+    """Predicted intensity of the samples, shape (N, C), and its parts: light of sources over that at rest, and that."""
+
+    shown: Float64Array
+    lit: _Lit
     ratio: Float64Array
     at_rest: Float64Array
-    features: Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,17 +364,17 @@ class _Jacobian:
     error: Float64Array
     weight: Float64Array
 
-    def normal_equations(self, rows: MaskArray) -> tuple[Float64Array, Float64Array]:
+    def normal_equations(self, rows: MaskArray | slice) -> tuple[Float64Array, Float64Array]:
         """Return the system and the gradient of some rows."""
         count, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
         system = np.zeros((count + channels * own, count + channels * own))
         gradient = np.zeros(len(system))
         for channel in range(channels):
             where = np.append(np.arange(count), count + channel * own + np.arange(own))
-            jacobian = np.concatenate([self.shared[rows, channel], self.features[rows]], axis=1)
-            weighted = jacobian * self.weight[rows, channel, None]
-            system[np.ix_(where, where)] += weighted.T @ jacobian
-            gradient[where] += weighted.T @ self.error[rows, channel]
+            root = np.sqrt(self.weight[rows, channel])
+            jacobian = root[:, None] * np.concatenate([self.shared[rows, channel], self.features[rows]], axis=1)
+            system[np.ix_(where, where)] += jacobian.T @ jacobian
+            gradient[where] += jacobian.T @ (root * self.error[rows, channel])
         return system, gradient
 
 
@@ -387,10 +393,3 @@ def _stepped(numbers: Numbers, free: slice, system: Float64Array, gradient: Floa
             return there
         step[bounded] = (there.packed() - start)[free][bounded]
         moves &= ~bounded
-
-
-def _one_light(sources: Float64Array, model: LightModel, skin: tuple[Float64Array, ...]) -> Float64Array:
-    """Return the light of sources (S, 4) on a model's coat: shape (N, S)."""
-    out = np.empty((len(skin[0]), len(sources)))
-    parallel_rows(write_light, (len(out), 64), *source_points(sources, model.fall_off), model.coat, *skin, out)
-    return out

@@ -15,8 +15,10 @@ import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array
-from host_sync.light.bundle import Bundle
-from host_sync.light.model import LightModel
+from host_sync.kernels.parallel_rows import parallel_rows
+from host_sync.light.bundle import OUTLYING, Bundle
+from host_sync.light.kernels import write_light
+from host_sync.light.model import LightModel, source_points
 from host_sync.light.numbers import Numbers
 
 STARTS: Final = ((0.35, 0.45), (0.5, 0.2))
@@ -93,7 +95,7 @@ def fit_light(
     found = bundle.solve(found)
     held_out = bundle.held_out(found)
     for _ in range(MAX_ADDED):
-        more = bundle.solve(bundle.with_source(found))
+        more = bundle.solve(with_source(bundle, found))
         again = bundle.held_out(more)
         if again > MIN_GAIN * held_out:
             break
@@ -127,3 +129,40 @@ def _with_residual(
         if held_out < MIN_GAIN * least:
             best, least = (wider, numbers), held_out
     return best
+
+
+def with_source(bundle: Bundle, numbers: Numbers) -> Numbers:
+    """Return the numbers with one source more a channel, where it explains most of what is left."""
+    terms, model = bundle.terms(numbers), bundle.model(numbers)
+    missing = bundle.intensity - terms.shown
+    weight = 1.0 / (bundle.sigma**2 + np.square(missing / OUTLYING))
+    angle, near, slant = np.meshgrid(np.arange(16) * (np.pi / 8), (0.4, 0.8), (0.25, 0.6, 1.2), indexing="ij")
+    places = np.stack([near * np.cos(angle), near * np.sin(angle), near * slant], axis=-1).reshape(-1, 3)
+    tried = np.concatenate([places, np.full((len(places), 2), 0.2)], axis=1)
+    lit = terms.lit
+    level = np.zeros_like(lit.p)
+    light = _one_light(tried, model, (lit.p, lit.q, bundle.x, bundle.y, lit.z))
+    rest = _one_light(tried, model, (level, level, bundle.x, bundle.y, level))
+    chosen, strengths = [], np.zeros((missing.shape[1], missing.shape[1]))
+    for channel in range(missing.shape[1]):
+        change = (light - terms.ratio[:, channel, None] * rest) / terms.at_rest[:, channel, None]
+        weighted = weight[:, channel, None] * change
+        bright = (weighted * missing[:, channel, None]).sum(axis=0) / np.maximum((weighted * change).sum(axis=0), 1e-12)
+        gain = np.maximum(bright, 0.0) * (weighted * missing[:, channel, None]).sum(axis=0)
+        best = int(np.argmax(gain))
+        chosen.append(tried[best])
+        strengths[channel, channel] = np.clip(bright[best], 0.0, 0.3)
+    added = np.array(chosen)
+    place = np.concatenate([added[:, :2], np.log(added[:, 2:3])], axis=1)
+    return replace(
+        numbers, place=np.concatenate([numbers.place, place]),
+        extent=np.concatenate([numbers.extent, added[:, 3:]]),
+        strength=np.concatenate([numbers.strength, strengths], axis=1),
+    )  # fmt: skip
+
+
+def _one_light(sources: Float64Array, model: LightModel, skin: tuple[Float64Array, ...]) -> Float64Array:
+    """Return the light of sources (S, 4) on a model's coat: shape (N, S)."""
+    out = np.empty((len(skin[0]), len(sources)))
+    parallel_rows(write_light, (len(out), 64), *source_points(sources, model.fall_off), model.coat, *skin, out)
+    return out
