@@ -47,6 +47,9 @@ MAP_REACH: Final = 0.8
 """Slope, relative to the steepest of the balls, from which the inverse map's slopes stay behind those of the skin: from
 there to the steepest their standard uncertainty grows to the slope itself."""
 
+AT_REST: Final = 0.01
+"""Fraction of its slope that a cell at rest keeps, at most."""
+
 REST_INFORMATION: Final = 100.0
 """Weight of a slope of skin at rest in the integration, relative to that of others."""
 
@@ -99,6 +102,13 @@ class Cells:
     arriving: Float64Array | None = None
 
     @cached_property
+    def active(self) -> np.ndarray:
+        """Numbers of the cells that light does not show at rest: of the others, `start` stays."""
+        if self.kept is None:
+            return np.arange(len(self.column))
+        return np.flatnonzero(self.kept > AT_REST)
+
+    @cached_property
     def rest(self) -> Float64Array:
         """Light of skin at rest, shape (N, C)."""
         return self.model.mixed(self.rest_light)
@@ -148,7 +158,7 @@ class Cells:
         model = self.model
         x, y, z = self.places(found.z_px)
         slope, rest = found.slope.copy(), self.rest
-        change, weight = np.empty((*self.intensity.shape, 2)), np.empty_like(self.intensity)
+        change, weight = np.zeros((*self.intensity.shape, 2)), np.zeros_like(self.intensity)
         counted = np.where(self.faithful[:, None], self.intensity, np.nan_to_num(found.shown, nan=1.0))
         hidden = found.shadow[:, None]
         start = self.start - self.believed * found.misread
@@ -163,9 +173,9 @@ class Cells:
         if self.uneven is not None:
             variance += np.square(UNEVEN_ERROR * self.uneven)
         limits = (MAX_MOVE, HIDDEN_SIGMA, OUTLYING, ELEVATION)
-        work = len(slope), 15 * steps * len(model.sources)
+        work = len(self.active), 15 * steps * len(model.sources)
         parallel_rows(
-            write_search, work, sources, skin, (counted, variance), (expected, known), limits, steps,
+            write_search, work, sources, skin, (counted, variance), (expected, known), limits, steps, self.active,
             slope, change, weight,
         )  # fmt: skip
         return replace(found, slope=slope, change=change, weight=np.where(self.faithful[:, None], weight, 0.0))
@@ -184,29 +194,38 @@ class Cells:
             variance += square * (doubt * gain) ** 2
         return np.asarray(1.0 / variance)
 
-    def _misread(self, found: CellSlopes, light: Float64Array) -> tuple[Float64Array, Float64Array]:
+    def _misread(
+        self, found: CellSlopes, visible: Float64Array, incoming: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Return by how much `start` is off at other elevations than 0 and under other light around than balls have.
 
-        Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show.
+        Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show. The third, of shape
+        (N,), is how much of a cell's light is hidden.
 
-        light : that arrives from every source, shape (N, S)
+        visible, incoming : see `CellSlopes`, over its elevations
         """
-        model = self.model
-        square = np.square(found.slope).sum(axis=1)
-        shown = np.zeros(len(square))
+        model, here = self.model, self.active
+        square = np.square(found.slope[here]).sum(axis=1)
+        shown = np.zeros(len(here))
         if self.elevation is not None:
             shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
-        x, y, _ = self.places(found.z_px)
-        p, q = found.slope.T
-        weighted = found.change * found.weight[..., None]
-        system = np.swapaxes(weighted, 1, 2) @ found.change + np.eye(2) / self.prior_sigma**2
-        around = model.albedo * (found.incoming - _light_of_floor(square)[:, None])
-        slopes = []
-        for below in (np.zeros_like(x), shown):
-            change = (light - model.light(p, q, x, y, below)) @ model.strengths.T / self.rest + around
-            gradient = np.einsum("ncj,nc->nj", weighted, change)
-            slopes.append(np.linalg.solve(system, gradient[..., None])[..., 0])
-        return slopes[0], slopes[1]
+        x, y, z = (part[here] for part in self.places(found.z_px))
+        p, q = found.slope[here].T
+        rest, open_share = self.rest[here], visible[here]
+        change = found.change[here]
+        weighted = change * found.weight[here][..., None]
+        system = np.swapaxes(weighted, 1, 2) @ change + np.eye(2) / self.prior_sigma**2
+        around = model.albedo * (incoming[here] - _light_of_floor(square)[:, None])
+        light = model.light(p, q, x, y, z) * open_share
+        slopes = np.zeros((2, *found.slope.shape))
+        for number, below in enumerate((np.zeros_like(x), shown)):
+            less = (light - model.light(p, q, x, y, below)) @ model.strengths.T / rest + around
+            gradient = np.einsum("ncj,nc->nj", weighted, less)
+            slopes[number, here] = np.linalg.solve(system, gradient[..., None])[..., 0]
+        dark = ((self.rest_light[here] * (1.0 - open_share)) @ model.strengths.T / rest).max(axis=1)
+        shadow = np.zeros(len(found.slope))
+        shadow[here] = np.clip(dark / IN_SHADOW, 0.0, 1.0)
+        return slopes[0], slopes[1], shadow
 
     def _with_heights(self, found: CellSlopes, solver: Integrator, elevation_px: float | None = None) -> CellSlopes:
         """Return heights of the slopes, and what arrives of the light over them.
@@ -226,22 +245,20 @@ class Cells:
         height = HeightMap(height.z_um.copy(), float(self.cell))
         z_px = np.asarray(height.z_um + np.float32(self._shift_px(height, field, elevation_px)), np.float32)
         surface = np.stack(surface_slopes(height), axis=-1).astype(np.float64).reshape(-1, 2) - self.bend
-        visible = visible_fraction(z_px, self.cell, model).reshape(len(found.slope), -1)
+        active = np.zeros(size, np.bool_)
+        active.flat[self.active] = True
+        visible = visible_fraction(z_px, self.cell, model, active).reshape(len(found.slope), -1)
         if self.arriving is not None:
             visible = np.minimum(visible, self.arriving[:, model.strengths.argmax(axis=0)])
-        x, y, z = self.places(z_px)
-        rest = self.rest
-        shown = (self.intensity * rest).reshape(*size, -1)
-        incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell), SCAN_CELLS).reshape(rest.shape) / rest
-        p_cell, q_cell = found.slope.T
-        light = model.light(p_cell, q_cell, x, y, z)
-        dark = ((self.rest_light * (1.0 - visible)) @ model.strengths.T / rest).max(axis=1)
-        shadow = np.clip(dark / IN_SHADOW, 0.0, 1.0)
-        found = replace(
-            found, z_px=z_px, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming, shadow=shadow
-        )
-        misread, unseen = self._misread(found, light * visible)
-        return replace(found, misread=misread, unseen=unseen)
+        shown = (self.intensity * self.rest).reshape(*size, -1)
+        incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell), SCAN_CELLS).reshape(self.rest.shape)
+        incoming /= self.rest
+        found = replace(found, z_px=z_px)
+        misread, unseen, shadow = self._misread(found, visible, incoming)
+        return replace(
+            found, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming, shadow=shadow,
+            misread=misread, unseen=unseen,
+        )  # fmt: skip
 
     def _shift_px(self, height: HeightMap, field: GradientField, elevation_px: float | None) -> float:
         """Return what heights gain for skin at rest, or for their median, to have a given elevation."""
@@ -320,25 +337,28 @@ WORK: Final = 200
 """Pixels of a field whose kernels take as long as the rays of one cell."""
 
 
-def visible_fraction(z_px: Float32Array, cell: int, model: LightModel) -> Float64Array:
+def visible_fraction(z_px: Float32Array, cell: int, model: LightModel, active: MaskArray | None = None) -> Float64Array:
     """Return how much of each source's light arrives, 0 to 1: float64 array of shape (h, w, S).
 
     z_px : elevation of cells of `cell` x `cell` pixels of the model's field, shape (h, w), at least (2, 2); finite
+    active : bool array of shape (h, w), cells that rays are followed from; all light arrives at the others
     """
     p, q = surface_slopes(HeightMap(z_px, float(cell)))
     points = model.geometry[0][..., :3] * model.shape[1]
-    visible = np.empty((*z_px.shape, len(points)))
+    visible = np.ones((*z_px.shape, len(points)))
+    active = np.ones(z_px.shape, np.bool_) if active is None else active
     grid = float(cell), 0.5 * (cell - model.shape[1]), 0.5 * (cell - model.shape[0])
     around = cv2.dilate(z_px, np.ones((2 * STRIDE + 3, 2 * STRIDE + 3), np.uint8))
     work = z_px.shape[0], WORK * z_px.shape[1]
-    parallel_rows(_write_visible, work, z_px, p, q, around, points, POINT_WEIGHTS, grid, visible)
+    parallel_rows(_write_visible, work, z_px, p, q, around, points, POINT_WEIGHTS, grid, active, visible)
     return visible
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _write_visible(
-    z: Any, p: Any, q: Any, around: Any, points: Any, weights: Any, grid: Any, visible: Any, first: int, last: int
-) -> None:
+    z: Any, p: Any, q: Any, around: Any, points: Any, weights: Any, grid: Any, active: Any, visible: Any, first: int,
+    last: int,
+) -> None:  # fmt: skip
     """Write what arrives of sources into the rows `first` to `last` - 1 of `visible`, (h, w, S).
 
     around : the highest of cells up to `STRIDE` + 1 rows and columns away, shape (h, w)
@@ -350,6 +370,8 @@ def _write_visible(
     top = float(around.max())
     for i in range(first, last):
         for j in range(columns):
+            if not active[i, j]:
+                continue
             own_z, x, y = z[i, j], left + j * cell, upper + i * cell
             for source in range(points.shape[0]):
                 visible[i, j, source] = 0.0

@@ -126,10 +126,10 @@ def unmasked_changes(seen: Any, narrow: Any) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_search(
-    sources: Any, skin: Any, seen: Any, prior: Any, limits: Any, steps: int, slope: Any, change: Any, weight: Any,
-    first: int, last: int,
+    sources: Any, skin: Any, seen: Any, prior: Any, limits: Any, steps: int, rows: Any, slope: Any, change: Any,
+    weight: Any, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Move the rows `first` to `last` - 1 of `slope`, (N, 2), by Gauss-Newton steps to the largest posterior.
+    """Move rows of `slope`, (N, 2), by Gauss-Newton steps to the largest posterior: of `rows` from `first` to `last`.
 
     sources : points, axes and coat see `write_light`; strengths (C, S), haze (C,) and the monomials' exponents (M, 2)
     skin : places x, y and z, shape (N,); light at rest (N, C), visible fractions (N, S), incoming light over that at
@@ -151,7 +151,8 @@ def write_search(
     light, shown, dark = np.empty((3, count)), np.empty((3, channels)), np.empty(channels)
     powers, values = np.empty((2, 5)), np.empty((terms + 1, 3))
     values[terms, 1] = values[terms, 2] = 0.0
-    for i in range(first, last):
+    for number in range(first, last):
+        i = rows[number]
         v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
         for source in range(count):
             for point in range(points.shape[1]):

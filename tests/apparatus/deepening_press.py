@@ -13,8 +13,10 @@ from hal.simulator.bench import SimulatedScene
 STEPS: Final = 4
 
 
-def press_deeper(bench: SimulatedScene, hardware: Hardware, name: str = "coin") -> None:
-    """Press an object in steps over the first half of a movie that begins now."""
+def press_deeper(
+    bench: SimulatedScene, hardware: Hardware, name: str = "coin", within_s: float = 0.5 * MOVIE_S
+) -> None:
+    """Press an object in steps, by default over the first half of a movie that begins now."""
     hardware.operator.ask(PressObject(name))
     hardware.button.wait_for_press(None)
     whole = bench.pressed
@@ -22,5 +24,5 @@ def press_deeper(bench: SimulatedScene, hardware: Hardware, name: str = "coin") 
     bench.place(None)
     began_ns = bench.clock.monotonic_ns()
     for step in range(1, STEPS + 1):
-        at_ns = began_ns + round(0.5 * MOVIE_S * 1e9 * step / STEPS)
+        at_ns = began_ns + round(within_s * 1e9 * step / STEPS)
         bench.place_at(at_ns, replace(whole, indentation_mm=whole.indentation_mm * step / STEPS))

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 import tifffile
 
+from device.acquisition.movie import MEMORY_FRACTION
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.raw_frame import write_raw
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic, make_flat_field
+from device.imaging.mosaic_binning import MOVIE_BINNING
 from device.inverse_map.npz import MODEL_FILE, read_model
 from device.store.active import read_active
 from device.store.store import BundleStore
@@ -93,19 +95,27 @@ def test_a_folder_of_raw_frames_under_a_librarys_calibration(
     assert stated == doubt.removeprefix("doubt: ")
 
 
+def leave_room_for_frames(count: int, hardware: Hardware, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the machine report free memory for a movie of so many frames."""
+    sensor = hardware.profile.sensor
+    free = round(count * 2 * sensor.columns * sensor.rows / MOVIE_BINNING**2 / MEMORY_FRACTION)
+    monkeypatch.setattr(os, "sysconf", {"SC_AVPHYS_PAGES": free, "SC_PAGE_SIZE": 1}.__getitem__)
+
+
 def test_a_scans_movie_shows_the_press_deepen(
     calibrated: BundleStore, bench: SimulatedScene, hardware: Hardware, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Calibrator, "of_bundle", lambda _, bundle: as_the_device_fitted_it(bundle))
     with hardware:
         scanner = Scanner(hardware, calibrated)
-        press_deeper(bench, hardware)
+        leave_room_for_frames(24, hardware, monkeypatch)
+        press_deeper(bench, hardware, within_s=0.3)
         bundle = scanner.scan(Annotations(part="bolt"), mode="movie").bundle
     out = tmp_path / "out"
     assert main(["video", "bolt", "--library", str(calibrated.root), "--out", str(out), "--no-mp4", "--no-gif"]) == 0
     frames = json.loads((out / "result.json").read_text())["frames"]
     assert bundle.record.movie is not None
-    assert len(frames) == len(bundle.record.movie.frames)
+    assert len(frames) == len(bundle.record.movie.frames) == 24
     peaks_um = [frame["peak_um"] for frame in frames]
     assert peaks_um[-1] > 2.0 * peaks_um[len(frames) // 4] > 0.0
     assert frames[-1]["contact_share"] > frames[0]["contact_share"]

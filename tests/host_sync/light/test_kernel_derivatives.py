@@ -77,8 +77,9 @@ def test_a_searchs_derivatives_by_slope_are_differences_of_the_intensity(coat: F
     seen = of.intensity(slope, places, incoming), np.ones((count, 3))
     found = slope.copy()
     write_search(
-        sources, skin, seen, (slope, np.ones(count)), (0.3, 0.3, 4.0, ELEVATION), 1, found, change, weight, 0, count
-    )
+        sources, skin, seen, (slope, np.ones(count)), (0.3, 0.3, 4.0, ELEVATION), 1, np.arange(count), found, change,
+        weight, 0, count,
+    )  # fmt: skip
     np.testing.assert_allclose(found, slope, atol=1e-9)
     for axis, step in enumerate(STEP * np.eye(2)):
         ends = [of.intensity(slope + sign * step, places, incoming) for sign in (1.0, -1.0)]
