@@ -11,7 +11,6 @@ import msgspec
 from hal.decoding import decode_toml
 from hal.errors import BoardProfileError
 from hal.frame import AS_GRANTED, CameraSettings, StatedOrder
-from hal.profile_files import profile_folder, profile_names
 from hal.profile_tables import (
     ASPECT_TOLERANCE,
     LIVE_AIMING_US,
@@ -30,6 +29,8 @@ from hal.profile_tables import (
     Table,
     Triple,
     UvcConfig,
+    profile_folder,
+    profile_names,
 )
 from hal.validation import explain_with_accepted, not_finite
 

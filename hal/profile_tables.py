@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import resources
+from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
@@ -108,3 +110,18 @@ class UvcConfig(Table, frozen=True):
     controls: dict[str, int] = msgspec.field(default_factory=dict)
     settle_frames: Annotated[int, msgspec.Meta(ge=1, le=12)] = 4
     lights: Literal["always on", "zoom control"] = "always on"
+
+
+# Places and names of the shipped board profiles; nothing is read, so that help can list them at once.
+
+
+def profile_names() -> tuple[str, ...]:
+    """Return names of the profiles shipped with the program, sorted."""
+    return tuple(sorted(path.stem for path in profile_folder().glob("*.toml")))
+
+
+def profile_folder() -> Path:
+    """Return the folder of the shipped profiles: inside an installed wheel, else beside the package in a checkout."""
+    package = Path(str(resources.files("hal")))
+    shipped = package / "board"
+    return shipped if shipped.is_dir() else package.parent / "board"

@@ -119,8 +119,8 @@ def calibrate_frame_set(path: str | Path, *, cached: bool = True, paper: bool = 
     'gel-3'
     """
     from host_sync.api_arguments import as_path
-    from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
+    from host_sync.calibration_file.inputs import CalibrationCache
     from host_sync.frames.frame_set import load_frame_set
 
     cache = CalibrationCache.of_user() if cached else None

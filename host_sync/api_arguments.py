@@ -29,8 +29,7 @@ from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import frame_of_values, read_frame
-from host_sync.frames.orientation import check_one_orientation
-from host_sync.frames.square_pixels import square_pitch
+from host_sync.frames.orientation import check_one_orientation, square_pitch
 from host_sync.results.reader import ResultSurface, read_result
 
 if TYPE_CHECKING:

@@ -34,7 +34,6 @@ PORTABLE_HAL = {
     "hal.frame",
     "hal.interfaces",
     "hal.profile_tables",
-    "hal.profile_files",
     "hal.validation",
 }
 INSTRUMENT_ONLY = ("textual", "picamera2", "libcamera", "smbus2", "gpiod")

@@ -23,7 +23,7 @@ from device.cli import instrument_commands, screens
 from device.surface.fields import Float64Array
 from device.tui.screens.app import RetroscanApp
 from hal import board_profile
-from hal.profile_files import profile_folder
+from hal.profile_tables import profile_folder
 from host_sync.cli import demo
 from tests.apparatus.printing import needs_browser
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from device.balls.detector import RejectedBall, find_balls
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.acceptance import Check, check_fit, fit_checks
-from device.calibration.coverage import Coverage, measure_coverage
+from device.calibration.acceptance import Check, Coverage, check_fit, fit_checks, measure_coverage
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.calibration.limits import MIN_BALLS
 from device.calibration.measured_radius import MeasuredRadii, measure_radii, shadow_radii_mm, wrong_by_shadow

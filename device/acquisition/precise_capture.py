@@ -30,8 +30,8 @@ from device.acquisition.movie import (
 from device.bundles.scan import MAX_MOVIE_FRAMES, CaptureMode, ExposuresRecord, VerdictRecord
 from device.errors import CaptureModeRefused
 from device.guidance.guide import PressMeasure, change
-from device.imaging.ambient import ambient_fraction
-from device.imaging.mosaic_binning import can_bin
+from device.imaging.flat_field import can_bin
+from device.imaging.frame_light import ambient_fraction
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 

@@ -33,9 +33,9 @@ from device.bundles.scan import (
     VerdictRecord,
 )
 from device.errors import CalibrationMismatch, DeviceError, StoreError
-from device.imaging.ambient import without_ambient
 from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
+from device.imaging.frame_light import without_ambient
 from device.inverse_map.npz import read_model
 from device.quality.verdict import Evidence
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look, write_quick_look

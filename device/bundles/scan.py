@@ -30,7 +30,7 @@ from device.bundles.record import (
     decode_record,
 )
 from device.errors import FrameError, RecordError
-from device.imaging.ambient import without_ambient
+from device.imaging.frame_light import without_ambient
 from hal.frame import RawFrame
 from hal.interfaces import PowerReading
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
-from device.calibration.coverage import Coverage
+from device.balls.sphere import BallSamples
 from device.calibration.fit import InverseFit
 from device.calibration.limits import (
     MIN_BALLS,
@@ -17,6 +19,7 @@ from device.calibration.limits import (
     WORST_HELD_OUT_DEG,
 )
 from device.errors import CalibrationError
+from device.surface.fields import MaskArray
 
 
 class Check(msgspec.Struct, frozen=True):
@@ -71,3 +74,101 @@ def fit_checks(balls: int, rejected: int, held_out_deg: float | None, coverage: 
     if held_out_deg is not None:
         found.append(Check("held-out error, degrees", held_out_deg, PASSED_HELD_OUT_DEG, "at most"))
     return tuple(found)
+
+
+# Parts of the frame and slopes that the balls of a calibration cover, and advice on what to press next.
+
+RealArray = NDArray[np.floating | np.integer]
+
+SIDES: Final = 3
+_DOWN: Final = ("upper", "middle", "lower")
+_ACROSS: Final = ("left", "centre", "right")
+DIRECTIONS: Final = ("right", "lower right", "down", "lower left", "left", "upper left", "up", "upper right")
+"""Where the surface falls to, clockwise as the frame is seen."""
+
+
+def _sector(down: int, across: int) -> str:
+    """Return a sector in words, such as "upper left corner"."""
+    if down == across == 1:
+        return "middle of the frame"
+    if 1 in (down, across):
+        return f"{_ACROSS[across]} edge" if down == 1 else f"{_DOWN[down]} edge"
+    return f"{_DOWN[down]} {_ACROSS[across]} corner"
+
+
+SECTORS: Final = tuple(_sector(row, column) for row in range(SIDES) for column in range(SIDES))
+"""Names of the nine sectors, row by row."""
+
+SECTOR_PIXELS: Final = 0.25
+"""A sector is covered by this share of an average ball's pixels."""
+
+TILTED_DEG: Final = 10.0
+DIRECTION_SHARE: Final = 0.25
+"""A direction is covered by this share of the tilted pixels that it would have were all directions alike."""
+
+
+class Coverage(msgspec.Struct, frozen=True):
+    """Parts of the frame and slopes that the balls cover.
+
+    sectors : by name of the nine sectors of the frame, whether a training ball lies there
+    directions : by the direction in which the surface falls, whether tilted pixels show it
+    steepest_deg : slopes are covered up to here
+    """
+
+    sectors: dict[str, bool]
+    directions: dict[str, bool]
+    steepest_deg: float
+
+    @property
+    def uncovered(self) -> tuple[str, ...]:
+        """Names of the sectors in which no training ball lies."""
+        return tuple(name for name, covered in self.sectors.items() if not covered)
+
+    def next_place(self) -> tuple[float, float] | None:
+        """Return the middle of the first uncovered sector, as shares of the field's columns and rows; None when all
+        are."""
+        for number, covered in enumerate(self.sectors.values()):
+            if not covered:
+                return (number % SIDES + 0.5) / SIDES, (number // SIDES + 0.5) / SIDES
+        return None
+
+    def next_presses(self) -> tuple[str, ...]:
+        """Return what to press next, one sentence each; none when all is covered."""
+        sides = [name for name, covered in self.directions.items() if not covered]
+        advice = [f"{name} uncovered: press a ball there" for name in self.uncovered]
+        if sides:
+            advice.append(
+                f"slopes that fall to the {', '.join(sides)} uncovered: press balls whose whole contact is seen"
+            )
+        if self.steepest_deg < PASSED_STEEPEST_DEG:
+            advice.append(
+                f"slopes beyond {self.steepest_deg:.0f} degrees uncovered: press deeper, "
+                f"to {PASSED_STEEPEST_DEG:.0f} degrees at least"
+            )
+        return tuple(advice)
+
+
+def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: float) -> Coverage:
+    """Return the coverage of a frame of `shape` (H, W) by the samples of the training balls.
+
+    steepest : largest slope of the training balls
+    """
+    count = np.bincount(sector_indices(samples.row, samples.column, shape), minlength=SIDES**2)
+    enough = SECTOR_PIXELS * len(samples.p) / (int(samples.ball.max()) + 1)
+    sectors = {name: bool(pixels >= enough) for name, pixels in zip(SECTORS, count, strict=True)}
+    return Coverage(sectors, _directions(samples), float(np.degrees(np.arctan(steepest))))
+
+
+def sector_indices(row: RealArray, column: RealArray, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the index in `SECTORS` of each place of a frame of `shape` (H, W); row and column in pixels."""
+    down = np.clip(row * SIDES / shape[0], 0, SIDES - 1).astype(np.intp)
+    across = np.clip(column * SIDES / shape[1], 0, SIDES - 1).astype(np.intp)
+    return np.asarray(down * SIDES + across, np.intp)
+
+
+def _directions(samples: BallSamples) -> dict[str, bool]:
+    tilted: MaskArray = np.hypot(samples.p, samples.q) > np.tan(np.radians(TILTED_DEG))
+    falls = np.arctan2(-samples.q[tilted], -samples.p[tilted])
+    count = np.bincount(np.round(falls / (np.pi / 4.0)).astype(int) % 8, minlength=8)
+    enough = max(DIRECTION_SHARE * tilted.sum() / 8.0, 1.0)
+    return {name: bool(pixels >= enough) for name, pixels in zip(DIRECTIONS, count, strict=True)}

@@ -12,16 +12,18 @@ from device.balls.sphere import BallSamples
 from device.calibration.cross_validation import FoldedRidge, GroupedRidgeCV, balanced_errors
 from device.calibration.product_features import ProductFeatures
 from device.calibration.slope_gain import gains_of_balls
-from device.inverse_map.branches import Reading, RootIntensity
-from device.inverse_map.feature_scaling import FeatureScaler
-from device.inverse_map.fourier_features import RandomFourierFeatures
+from device.inverse_map.branches import Reading, RootIntensity, flat_at_rest, seen_at_rest
 from device.inverse_map.gentle_skin import GentleSkin
-from device.inverse_map.illumination import IlluminationMap
-from device.inverse_map.leverage import Leverage
-from device.inverse_map.near_light import NearLightModel
-from device.inverse_map.polynomial_features import colour_exponents, field_position, position_exponents
+from device.inverse_map.near_light import IlluminationMap, NearLightModel
+from device.inverse_map.polynomial_features import (
+    FeatureScaler,
+    RandomFourierFeatures,
+    colour_exponents,
+    field_position,
+    position_exponents,
+)
 from device.inverse_map.regressor import FeatureRegressor
-from device.inverse_map.rest_reading import flat_at_rest, seen_at_rest
+from device.inverse_map.training_domain import Leverage
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
 

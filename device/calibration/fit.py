@@ -27,13 +27,11 @@ from device.calibration.centre_refinement import Learners, Refined, held_out_slo
 from device.calibration.cross_validation import FOLDS, angle_between_deg
 from device.calibration.slope_gain import HeldOutReadings, SlopeGain, slope_gains
 from device.errors import CalibrationError
-from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity, light_at_rest
 from device.inverse_map.model import InverseMap, rest_nodes
-from device.inverse_map.near_light import NearLightModel
+from device.inverse_map.near_light import IlluminationMap, NearLightModel
 from device.inverse_map.polynomial_features import field_position
 from device.inverse_map.regressor import FeatureRegressor
-from device.inverse_map.rest_reading import light_at_rest
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.fields import Float64Array, MaskArray
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from device.inverse_map.fourier_features import RandomFourierFeatures
 from device.inverse_map.polynomial_features import (
+    RandomFourierFeatures,
     blocks_of,
     colour_exponents,
     monomial_rows,

@@ -32,7 +32,7 @@ from device.command_line import (
 from device.errors import DeviceError, FrameNotConfirmed, InstrumentBusy
 from device.shutdown import signals_as_keyboard_interrupt
 from hal.errors import BoardProfileError, HalError, OperatorError
-from hal.profile_files import profile_names
+from hal.profile_tables import profile_names
 
 # Every command of `retroscan` with where its function is and examples; nothing of the instrument is imported here.
 
@@ -126,13 +126,13 @@ COMMANDS: Final = (
     ),
     Command(
         "status",
-        "device.cli.listing:show_status",
+        "device.cli.calibrations:show_status",
         "Show calibration, gel and room for scans; opens no hardware.",
         ("retroscan status", "retroscan status --json"),
     ),
     Command(
         "list",
-        "device.cli.listing:list_scans",
+        "device.cli.calibrations:list_scans",
         "List the scans on this device, newest first.",
         ("retroscan list", "retroscan list --json"),
     ),

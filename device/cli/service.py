@@ -9,7 +9,7 @@ from typing import Final
 from device.acquisition.sd_notify import SdNotify
 from device.cli.console import Given, open_store, print_error, print_line
 from device.errors import DeviceError
-from device.instrument.alarms import EMPTY_FRACTION, NO_ROOM
+from device.instrument.health import EMPTY_FRACTION, NO_ROOM
 from device.instrument.state import InstrumentState
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock

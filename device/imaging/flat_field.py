@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -238,3 +238,106 @@ def check_same_size(shape: tuple[int, ...], flat_field: Float32Array) -> None:
         turned = shape[0] == flat_field.shape[1] and shape[1] == flat_field.shape[0]
         advice = "turned by 90 degrees: turn it back" if turned else "use frames of one camera mode"
         raise CalibrationMismatch(f"the frame is {sizes[0]} pixels and the reference {sizes[1]}: {advice}")
+
+
+# A flat field estimated from the frames themselves, for sets without a reference frame.
+
+
+def estimate_flat_field(frames: list[LinearFrame], degree: int = 6) -> Float32Array:
+    """Robust polynomial of log colour over position, fitted to all frames.
+
+    Most of every frame shows untouched skin, so an iteratively reweighted fit finds it.
+    Returns a float32 array of shape (H, W, N), fraction of full scale; N is the frames' number of channels.
+    """
+    step = max(1, int(np.sqrt(frames[0].rgb[..., 0].size * len(frames) / 60_000)))
+    rows, columns = frames[0].shape
+    basis_small = _position_polynomials(rows, columns, degree, step)
+    channels = frames[0].rgb.shape[2]
+    flat_field = np.empty((rows, columns, channels), np.float32)
+    basis_row, basis_column = _chebyshev(rows, degree, 1), _chebyshev(columns, degree, 1)
+    for channel in range(channels):
+        samples = np.concatenate([f.rgb[::step, ::step, channel].ravel() for f in frames])
+        seen = np.concatenate([~f.clipped[::step, ::step].ravel() for f in frames]) & (samples > DARK_FLOOR)
+        design = np.tile(basis_small, (len(frames), 1))[seen]
+        coefficients = _robust_fit(design, np.log(samples[seen]).astype(np.float64))
+        surface = np.zeros((rows, columns))
+        for value, (i, j) in zip(coefficients, _degrees(degree), strict=True):
+            surface += value * np.outer(basis_row[:, i], basis_column[:, j])
+        flat_field[..., channel] = np.exp(np.clip(surface, np.log(DARK_FLOOR / 10), 0.0))
+    return flat_field
+
+
+def _degrees(degree: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+
+
+def _chebyshev(size: int, degree: int, step: int) -> NDArray[np.float64]:
+    at = np.arange(0, size, step) * (2.0 / max(size - 1, 1)) - 1.0
+    return np.polynomial.chebyshev.chebvander(at, degree)
+
+
+def _position_polynomials(rows: int, columns: int, degree: int, step: int) -> NDArray[np.float64]:
+    along_row, along_column = _chebyshev(rows, degree, step), _chebyshev(columns, degree, step)
+    terms = [np.outer(along_row[:, i], along_column[:, j]).ravel() for i, j in _degrees(degree)]
+    return np.stack(terms, axis=-1)
+
+
+def _robust_fit(design: NDArray[np.float64], target: NDArray[np.float64], rounds: int = 12) -> NDArray[np.float64]:
+    """Return coefficients of a Tukey-weighted least-squares fit."""
+    weight = np.ones_like(target)
+    coefficients: NDArray[np.float64] = np.zeros(design.shape[1])
+    for _ in range(rounds):
+        weighted = design * weight[:, None]
+        gram = weighted.T @ design + 1e-6 * len(target) * np.eye(design.shape[1])
+        coefficients = np.asarray(np.linalg.solve(gram, weighted.T @ target), np.float64)
+        residual = target - design @ coefficients
+        scale = 4.7 * 1.4826 * max(float(np.median(np.abs(residual))), 1e-6)
+        weight[:] = np.maximum(1.0 - (residual / scale) ** 2, 0.0) ** 2
+    return coefficients
+
+
+# Raw frames of half the size: pixels of one colour in every 4x4 block are summed, so that a mosaic stays a mosaic.
+
+MOVIE_BINNING: Final = 2
+_BLOCK: Final = 4
+_SUMMED: Final = 4
+_MAX_COUNT: Final = np.iinfo(np.uint16).max
+
+
+def can_bin(shape: tuple[int, int]) -> bool:
+    """Return whether a frame of `shape` (H, W) consists of 4x4 blocks."""
+    return shape[0] % _BLOCK == 0 and shape[1] % _BLOCK == 0
+
+
+def bin_mosaic(frame: RawFrame) -> RawFrame:
+    """Return the frame at half its size: sums of four pixels of one colour, or their mean where sums would not fit 16
+    bits.
+
+    Raises
+    ------
+    ValueError
+        The frame does not consist of 4x4 blocks.
+    """
+    rows, columns = frame.shape
+    if not can_bin(frame.shape):
+        raise ValueError(f"a mosaic of {columns}x{rows} pixels does not consist of 4x4 blocks")
+    blocks = frame.mosaic.astype(np.uint32).reshape(rows // _BLOCK, 2, 2, columns // _BLOCK, 2, 2)
+    total = blocks.sum(axis=(1, 4)).reshape(rows // 2, columns // 2)
+    scale = _SUMMED if _SUMMED * frame.white_level_dn <= _MAX_COUNT else 1
+    counts = total if scale == _SUMMED else (total + _SUMMED // 2) // _SUMMED
+    return replace(
+        frame,
+        mosaic=counts.astype(np.uint16),
+        black_level_dn=frame.black_level_dn * scale,
+        white_level_dn=frame.white_level_dn * scale,
+    )
+
+
+def unbin_mosaic(frame: RawFrame) -> RawFrame:
+    """Return a frame of twice the size in which all four pixels of one colour in a 4x4 block are alike, as `bin_mosaic`
+    took them together: a calibration of full-size frames reads it.
+    """
+    rows, columns = frame.shape
+    blocks = frame.mosaic.reshape(rows // 2, 1, 2, columns // 2, 1, 2)
+    whole = np.broadcast_to(blocks, (rows // 2, 2, 2, columns // 2, 2, 2))
+    return replace(frame, mosaic=np.ascontiguousarray(whole).reshape(2 * rows, 2 * columns))

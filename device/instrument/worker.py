@@ -13,10 +13,10 @@ from device.acquisition.selftest import root_fault, selftest
 from device.errors import DeviceError
 from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup
-from device.instrument.alarms import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.button import LONG_PUSH_S, ButtonEvent, LongPressHandler
 from device.instrument.calibration_run import BalanceRun, CalibrationRun
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
+from device.instrument.health import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.history import DeletedScans
 from device.instrument.live import LiveLoop, focus_figure_of, skin_levels_of
 from device.instrument.pairing_run import PairingRun

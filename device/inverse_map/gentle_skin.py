@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
-from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.near_light import (
     CUBIC_DOUBT,
     GENTLE,
     OLD_PLACE_DEGREE,
     PLACE_DEGREE,
+    IlluminationMap,
     direction_features,
     lit_by,
 )

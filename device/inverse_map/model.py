@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from device.errors import CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.branches import IntensityCurve, NearLightBranch, Part, RawLightBranch, RootCurve
-from device.inverse_map.illumination import between_nodes, is_node_grid, rows_between_nodes
-from device.inverse_map.leverage import Leverage
+from device.inverse_map.near_light import between_nodes, is_node_grid, rows_between_nodes
 from device.inverse_map.polynomial_features import field_position
 from device.inverse_map.regressor import FeatureRegressor, with_prefix
-from device.inverse_map.training_domain import TrainingDomain
+from device.inverse_map.training_domain import Leverage, TrainingDomain
 from device.surface.fields import Float32Array, Float64Array, GradientField
 from device.surface.stereographic import slope_from_stereographic
 

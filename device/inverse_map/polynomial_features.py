@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from device.surface.fields import Float32Array, Float64Array
 
 
 def colour_exponents(degree: int) -> list[tuple[int, int, int]]:
@@ -77,3 +80,146 @@ def field_position(column: NDArray[Any], row: NDArray[Any], shape: tuple[int, in
     coordinates."""
     rows, columns = shape
     return np.stack([(2.0 * column + 1.0) / columns - 1.0, (2.0 * row + 1.0) / rows - 1.0], axis=-1)
+
+
+# Cosines of colour: terms of an inverse map that bend in one place without bending everywhere.
+#
+# A skin whose metal flakes shine in a narrow lobe answers a small tilt with a large change of colour near flat and with
+# a small one farther off. A polynomial that follows it there runs away elsewhere. A sum of cosines of random direction
+# and phase is the smooth function of a Gaussian process: it bends over a stated length and nowhere runs away (Rahimi &
+# Recht, "Random features for large-scale kernel machines", 2007).
+
+WAVES: Final = 64
+"""Cosines of a curve that has any."""
+
+BEND_LENGTH: Final = 0.5
+"""Over which a sum of them bends, in a colour space's variables: one standard deviation of the balls' colours."""
+
+AMPLITUDE: Final = 1.5
+"""Root mean square of a sum of all waves with coefficients of one: how cheap they are beside monomials."""
+
+MAX_WAVES: Final = 1000
+"""No curve has more; a file that asks for more is not read."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomFourierFeatures:
+    """Cosines a cos(k·v + φ) of a colour's variables v.
+
+    direction : float32 array of shape (3, W), k in radians per variable
+    phase : float32 array of shape (W,), φ in radians
+    """
+
+    direction: Float32Array
+    phase: Float32Array
+
+    @classmethod
+    def sample(cls, seed: int = 1) -> RandomFourierFeatures:
+        """`WAVES` waves whose sums bend over `BEND_LENGTH`; the same ones each time."""
+        random = np.random.default_rng(seed)
+        direction = random.standard_normal((3, WAVES)) / BEND_LENGTH
+        return cls(direction.astype(np.float32), random.uniform(0.0, 2.0 * np.pi, WAVES).astype(np.float32))
+
+    @classmethod
+    def none(cls) -> RandomFourierFeatures:
+        """No wave: the curve is a polynomial."""
+        return cls(np.zeros((3, 0), np.float32), np.zeros(0, np.float32))
+
+    @property
+    def count(self) -> int:
+        """Number of features."""
+        return self.phase.size
+
+    @property
+    def amplitude(self) -> float:
+        """Of each wave; 0 without waves."""
+        return AMPLITUDE * float(np.sqrt(2.0 / self.count)) if self.count else 0.0
+
+    def values(self, variables: NDArray[Any]) -> NDArray[Any]:
+        """Return the waves at colours' variables of shape (N, 3): array of shape (N, W) of the same type."""
+        kind = variables.dtype
+        angle = variables @ self.direction.astype(kind) + self.phase.astype(kind)
+        return np.asarray(kind.type(self.amplitude) * np.cos(angle))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as arrays, nothing where there is no wave; `from_arrays` is its inverse."""
+        return {"direction": self.direction, "phase": self.phase} if self.count else {}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RandomFourierFeatures:
+        """Return the waves that `arrays` wrote; KeyError or ValueError when malformed."""
+        if not arrays:
+            return cls.none()
+        direction, phase = (np.asarray(arrays[name], np.float32) for name in ("direction", "phase"))
+        fits = phase.ndim == 1 and direction.shape == (3, phase.size) and 0 < phase.size <= MAX_WAVES
+        if not fits or not (np.isfinite(direction).all() and np.isfinite(phase).all()):
+            raise ValueError(f"waves of shape {direction.shape} and {phase.shape}")
+        return cls(direction, phase)
+
+
+# Colour as variables of a polynomial: its logarithm or itself, clipped to the balls' range and scaled.
+
+DARK_OFFSET: Final = 0.05
+"""Added to intensity before the logarithm: about the darkest shade that still carries slope."""
+
+RANGE_PERCENT: Final = (0.05, 99.95)
+"""Percentiles of the observed colours that variables are clipped to: a polynomial runs away outside."""
+
+
+def log_intensity(intensity: Float32Array) -> Float32Array:
+    """log(I + DARK_OFFSET), of the shape of `intensity`."""
+    return np.log(np.maximum(intensity, np.float32(0.0)) + np.float32(DARK_OFFSET))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureScaler:
+    """A clip to what the balls showed, a centre and a scale.
+
+    centre, scale, low, high : float32 arrays of shape (3,), of log intensity, or of colours themselves where `linear`
+    linear : whether colours are taken as they are
+    """
+
+    centre: Float32Array
+    scale: Float32Array
+    low: Float32Array
+    high: Float32Array
+    linear: bool = False
+
+    @classmethod
+    def observed(cls, colours: Float32Array, *, linear: bool = False) -> FeatureScaler:
+        """Return the space of the observed colours, array of shape (N, 3)."""
+        seen = colours if linear else log_intensity(colours)
+        low, high = np.percentile(seen, RANGE_PERCENT, axis=0)
+        fields = (seen.mean(axis=0), np.maximum(2.0 * seen.std(axis=0), 1e-6), low, high)
+        centre, scale, least, most = (field.astype(np.float32) for field in fields)
+        return cls(centre, scale, least, most, linear)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of what is clipped over the balls, mean over channels."""
+        return 0.5 * float(self.scale.mean())
+
+    def variables(self, colours: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return the polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard
+        deviations."""
+        seen = colours if self.linear else log_intensity(colours)
+        clipped = np.clip(seen, self.low, self.high)
+        excess = np.abs(seen - clipped).max(axis=-1) / np.float32(self.spread)
+        return (clipped - self.centre) / self.scale, np.asarray(excess, np.float32)
+
+    def intensity_range(self) -> tuple[Float64Array, Float64Array]:
+        """Return intensities that a space of intensity clips to, float64 arrays of shape (3,): lowest and highest."""
+        low, high = (np.exp(bound.astype(np.float64)) - DARK_OFFSET for bound in (self.low, self.high))
+        return low, high
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as arrays but `linear`, which goes with what is read; `from_arrays` is its inverse."""
+        return {name: getattr(self, name) for name in ("centre", "scale", "low", "high")}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], *, linear: bool = False) -> FeatureScaler:
+        """Return the space that `arrays` wrote; KeyError or ValueError when malformed."""
+        centre, scale, low, high = (
+            np.asarray(arrays[name], np.float32).reshape(3) for name in ("centre", "scale", "low", "high")
+        )
+        return cls(centre, scale, low, high, linear)

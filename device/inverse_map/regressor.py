@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.errors import RecordError
-from device.inverse_map.feature_scaling import FeatureScaler
-from device.inverse_map.fourier_features import RandomFourierFeatures
 from device.inverse_map.polynomial_features import (
+    FeatureScaler,
+    RandomFourierFeatures,
     blocks_of,
     colour_exponents,
     monomial_rows,

@@ -22,9 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
 from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, TRUSTED_EXCESS, InverseMap
-from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
+from device.inverse_map.polynomial_features import (
+    DARK_OFFSET,
+    FeatureScaler,
+    field_position,
+    monomials,
+    position_exponents,
+)
 from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
 
 BINS: Final = 64

@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import Final
 
 from device.errors import MachineError
-from device.machine.backlight import MIN_LEVEL
 from device.machine.interfaces import ClockStatus, Machine, WifiNetwork
+from device.machine.real_machine import MIN_LEVEL
 
 
 class TwinClock:

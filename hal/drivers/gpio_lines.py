@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
-from hal.drivers.driver_library import require_package
+from hal.drivers.i2c_bus import require_package
 from hal.errors import ButtonError, DriverMissing, HalError, IndicatorError, LightError
 
 if TYPE_CHECKING:

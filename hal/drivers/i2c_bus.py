@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from typing import Final, Protocol, TypeVar
 
-from hal.drivers.driver_library import require_package
-from hal.errors import HalError
+from hal.errors import DriverMissing, HalError
 from hal.interfaces import Clock
 
 TRIES: Final = 3
@@ -144,3 +144,18 @@ class I2cChip:
 def _pins(bus: int) -> str:
     """Return pins of the bus on the 40-pin header."""
     return "SDA/SCL on pins 3 and 5" if bus == 1 else f"SDA/SCL of bus {bus}"
+
+
+# Packages that only a real board has: checked before a driver imports them.
+
+
+def require_package(package: str, install: str) -> None:
+    """Raise an error that says how to install a package (`install`) if it is missing.
+
+    Raises
+    ------
+    DriverMissing
+        The package is not installed.
+    """
+    if find_spec(package) is None:
+        raise DriverMissing(f"the package {package} is not installed: {install}")

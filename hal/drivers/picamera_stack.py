@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.drivers.driver_library import require_package
+from hal.drivers.i2c_bus import require_package
 from hal.errors import DriverMissing
 
 

@@ -13,8 +13,8 @@ from hal.board_profile import BoardProfile, TwinConfig
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings, RawFrame
 from hal.interfaces import ButtonPress, Clock, Cue
-from hal.simulator.arrays import Float32Array, MaskArray
 from hal.simulator.scene import Press, Scene, expose, native_order, render
+from hal.simulator.surfaces import Float32Array, MaskArray
 
 
 @dataclass(slots=True)

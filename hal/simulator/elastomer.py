@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.special import k0e, k1e
 
-from hal.simulator.arrays import Float32Array, FloatArray, MaskArray
+from hal.simulator.surfaces import Float32Array, FloatArray, MaskArray
 
 MAX_COMPRESSION: Final = 0.6
 """Maximum compression, as a fraction of the slab's thickness."""

@@ -15,8 +15,7 @@ import numpy as np
 
 from hal.board_profile import BoardProfile
 from hal.profile_tables import LensConfig
-from hal.simulator.arrays import Float32Array, FloatArray
-from hal.simulator.surfaces import Surface
+from hal.simulator.surfaces import Float32Array, FloatArray, Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

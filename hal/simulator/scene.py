@@ -14,16 +14,17 @@ from functools import lru_cache
 from typing import Final
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.board_profile import BoardProfile, SensorConfig, TwinConfig
+from hal.errors import BoardProfileError
 from hal.frame import AS_GRANTED, BayerOrder
 from hal.profile_tables import BeamConfig
-from hal.simulator.arrays import Float32Array, FloatArray
 from hal.simulator.elastomer import Skin, drape
-from hal.simulator.lens import Lens
-from hal.simulator.surfaces import Surface
+from hal.simulator.lens import GEL_INDEX, Lens
+from hal.simulator.surfaces import Float32Array, FloatArray, Surface
 
 ACRYLIC: Final = 1.49
 """Refractive index of the block."""
@@ -333,3 +334,24 @@ def _march(
         np.minimum(clearance, rise + (height - met) / (cells * np.float32(cell_mm)), out=clearance)
     half_angle = np.float32(light_radius_mm) / np.hypot(across, np.float32(light_mm[2]) - height)
     return np.asarray(np.clip(0.5 + 0.5 * clearance / half_angle, 0.0, 1.0), np.float32)
+
+
+# A board's profile as a twin: its sensor, scale, lens and lights in the simulated world.
+
+
+def twin_of(profile: BoardProfile) -> BoardProfile:
+    """Return the profile with the twin's driver, its camera where the lens stands sharp.
+
+    Raises
+    ------
+    BoardProfileError
+        The profile has no [lens] table, so nobody knows how sharp it is or from where it looks.
+    """
+    if profile.lens is None:
+        raise BoardProfileError(f"board {profile.name!r} has no [lens] table: state focal_mm, f_number and pixel_um")
+    magnification = profile.lens.pixel_um / profile.sensor.pixel_pitch_um
+    # From inside the gel the lens seems farther: rays bend where they leave the block.
+    distance_mm = GEL_INDEX * profile.lens.focal_mm * (1.0 + 1.0 / magnification)
+    twin = profile.twin or TwinConfig()
+    as_twin = msgspec.structs.replace(twin, camera_distance_mm=distance_mm)
+    return msgspec.structs.replace(profile, driver="twin", twin=as_twin)

@@ -6,11 +6,10 @@ Every surface gives its height in mm over its own (x, y) in mm, highest point 0,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-
-from hal.simulator.arrays import FloatArray
+from numpy.typing import NDArray
 
 
 class Surface(Protocol):
@@ -213,3 +212,10 @@ def smooth_step(fraction: FloatArray) -> FloatArray:
     """0 below 0, 1 above 1, a smooth cubic between; array of the same shape."""
     inside = np.clip(fraction, 0.0, 1.0)
     return inside * inside * (3.0 - 2.0 * inside)
+
+
+# Array types of the twin.
+
+FloatArray: TypeAlias = NDArray[np.floating[Any]]
+Float32Array: TypeAlias = NDArray[np.float32]
+MaskArray: TypeAlias = NDArray[np.bool_]

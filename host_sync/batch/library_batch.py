@@ -23,7 +23,7 @@ from device.io.os_errors import explain_os_error
 from host_sync.batch.cluster import Unfinished, outcomes_on_cluster
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
-from host_sync.filters.detail import DetailBand
+from host_sync.filters.form import DetailBand
 from host_sync.kernels.cache import holds_kernels
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.library.library import Library

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
-from device.calibration.acceptance import Check, check_fit, fit_checks
-from device.calibration.coverage import Coverage, measure_coverage
+from device.calibration.acceptance import Check, Coverage, check_fit, fit_checks, measure_coverage
 from device.calibration.fit import InverseFit
 from device.calibration.limits import MAX_RADIUS_SPREAD, PASSED_RESTING
 from device.imaging.flat_field import NormalizedImage

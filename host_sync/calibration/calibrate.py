@@ -14,17 +14,15 @@ from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.inverse_map.skin_at_rest import SkinAtRest
 from device.surface.fields import Float32Array
 from host_sync.calibration.assessment import Assessment, assess, light_notes, with_reference
-from host_sync.calibration.ball_choice import Centres
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.preparation import PreparedPresses
+from host_sync.calibration.preparation import PreparedPresses, TrainingPress, training_presses
+from host_sync.calibration.radii import Centres
 from host_sync.calibration.slope_models import SlopeModels, slope_sigma_of
-from host_sync.calibration.training_press import TrainingPress, training_presses
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage
 from host_sync.denoising.null_colour import NullColour, learn_null_colour
 from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.johnson2009.held_out import held_out_paper_deg
-from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.johnson2009.model import PaperModel, fit_paper_model, held_out_paper_deg
 from host_sync.light.fit import FittedLight
 from host_sync.light.model import Position
 from host_sync.lights.light_groups import LightGroups

@@ -14,14 +14,13 @@ from device.balls.detector import MIN_CONTACT, BallSearch, RejectedBall, find_ba
 from device.balls.sphere import Ball
 from device.calibration.limits import MAX_DISAGREEMENT, MIN_BALLS
 from device.errors import CalibrationError
-from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, NormalizedImage, make_flat_field
+from device.imaging.flat_field import LinearFrame, NormalizedImage, estimate_flat_field, make_flat_field
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.calibration.balls import PressFrame, UsedPress, drop_clipped, locate, with_found
 from host_sync.calibration.consistency import check_agreement, check_untouched
-from host_sync.calibration.fitting_radius import fitting_radius
 from host_sync.calibration.lattice import GROWTH, ON_LATTICE, BallLattice, find_lattice, project
 from host_sync.calibration.pixel_pitch import PitchReading, PixelPitch, join_readings, read_pitch
+from host_sync.calibration.radii import fitting_radius
 
 NAMED: Final = 3
 """At most so many presses are named that share a reason."""

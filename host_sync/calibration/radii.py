@@ -7,20 +7,31 @@ balls cannot be checked so: were all radii wrong by one share, the map would hav
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
+import cv2
 import numpy as np
 
+from device.balls.detector import find_balls
 from device.balls.sphere import BallSamples, gather_samples
-from device.calibration.fit import BegunFit
+from device.calibration.fit import BegunFit, InverseFit, begin_fit
 from device.calibration.limits import MAX_RADIUS_SPREAD
 from device.errors import CalibrationError
-from device.inverse_map.illumination import IlluminationMap
+from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
+from device.inverse_map.near_light import IlluminationMap
 from device.surface.fields import Float64Array, MaskArray
-from host_sync.calibration.ball_choice import fit_to, fit_to_cores
-from host_sync.calibration.balls import UsedPress, apply_fit, cut_to_core, without_balls
+from host_sync.calibration.balls import (
+    PressFrame,
+    UsedPress,
+    add_detections,
+    apply_fit,
+    cut_to_core,
+    relocate_labels,
+    without_balls,
+)
 
 MAX_SAMPLES = 20_000
 CONTRADICTS: Final = 0.16
@@ -146,4 +157,159 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
         f"the balls' radii contradict each other: by their shading they are {np.nanmin(shares):.2f} ({small}) to "
         f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {MAX_RADIUS_SPREAD:.0%}), "
         "and too many stand out to be left out: check ball_radius_mm of each press"
+    )
+
+
+# The ball radius that shows in presses, where the stated one does not or none is known.
+
+RADII: Final = tuple(0.07 * 1.4**step for step in range(9))
+"""Radii that are tried, fractions of the frame's shorter side."""
+
+LOOKED_AT_PX: Final = 320
+"""Frames are reduced to about this length of their shorter side."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittingRadius:
+    """The ball radius that shows in most of the presses that were looked at: pixels, and in how many of how many."""
+
+    radius_px: float
+    presses: int
+    looked_at: int
+
+    def sentence(self, pitch_um: float, stated_px: float) -> str:
+        """Return the sentence that compares it with the stated radius."""
+        return (
+            f"balls of about {self.radius_px:.0f} px ({self.radius_px * pitch_um / 1e3:.2g} mm at {pitch_um:g} µm a "
+            f"pixel) show in {self.presses} of {self.looked_at} presses, and {stated_px:.0f} px "
+            f"({stated_px * pitch_um / 1e3:.3g} mm) is stated"
+        )
+
+
+def fitting_radius(images: Sequence[NormalizedImage]) -> FittingRadius | None:
+    """Return the radius of the balls that show in frames, from their contacts; None where none shows.
+
+    Contacts of one size fit balls of several radii: of those that show as often, the middle one is returned.
+    """
+    if not images:
+        return None
+    factor = max(1, min(images[0].shape) // LOOKED_AT_PX)
+    small = [_reduced(image, factor) for image in images]
+    counts = {}
+    for fraction in RADII:
+        radius_px = fraction * min(small[0].shape)
+        counts[radius_px * factor] = sum(_shows(image, radius_px) for image in small)
+    most = max(counts.values())
+    best = [radius_px for radius_px, count in counts.items() if count == most]
+    return FittingRadius(float(np.exp(np.mean(np.log(best)))), most, len(small)) if most else None
+
+
+def _shows(image: NormalizedImage, radius_px: float) -> bool:
+    """Return whether a ball of this radius is found; no radius is too large or small to be tried."""
+    try:
+        return bool(find_balls(image, radius_px).found)
+    except CalibrationError:
+        return False
+
+
+def _reduced(image: NormalizedImage, factor: int) -> NormalizedImage:
+    if factor == 1:
+        return image
+    size = (image.shape[1] // factor, image.shape[0] // factor)
+    values = cv2.resize(image.values, size, interpolation=cv2.INTER_AREA)
+    valid, clipped = (
+        cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+        for mask in (image.valid, image.clipped)
+    )
+    return NormalizedImage(np.asarray(values, np.float32), valid, clipped)
+
+
+# The inverse map of a calibration's presses, and which balls at which centres it is fitted to.
+
+Centres = Literal["found", "labelled", "found at labels", "found at labels and beyond"]
+FITTED_SAMPLES: Final = 40_000
+WORTH_MORE_BALLS: Final = 1.1
+"""Balls that no label has are tried when there are so many times as many with them."""
+
+MORE_BALLS_GAIN: Final = 0.95
+"""Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
+
+CORE_KEPT: Final = 0.9
+"""So many of the balls that train without a cut must train with it: an error that is small because balls are left out
+says nothing."""
+
+
+def fit_to_best_balls(
+    presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
+) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
+    """Return the inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones
+    prefer.
+
+    Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
+    to their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
+
+    light : of untouched skin, None where no reference shows it
+    """
+    by_hand = [press.labelled_by_hand for press in presses]
+    best = fit_to(located, light)
+    if not any(by_hand):
+        return best, located, "found"
+    chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
+    choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
+        ("found at labels", relocate_labels),
+        ("found at labels and beyond", add_detections),
+    )
+    for name, move in choices:
+        moved = [move(used) if hand else used for used, hand in zip(located, by_hand, strict=True)]
+        more = name == "found at labels and beyond"
+        if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
+            continue
+        begun = fit_to(moved, light)
+        gain = MORE_BALLS_GAIN if more else 1.0
+        if gain * _label_error_deg(begun.fit, moved, located) < _label_error_deg(best.fit, chosen[0], located):
+            best, chosen = begun, (moved, name)
+    if chosen[1] != "found at labels and beyond":
+        cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
+        core = fit_to_cores(cut, best, light)
+        return (*core, chosen[1]) if core else (best, *chosen)
+    return best, *chosen
+
+
+def fit_to_cores(
+    cut: Sequence[UsedPress], whole: BegunFit, light: IlluminationMap | None
+) -> tuple[BegunFit, Sequence[UsedPress]] | None:
+    """Return the inverse map of presses whose contacts were cut to their core; None where held-out balls prefer the
+    whole.
+
+    The error of the core alone decides, and not one that is smaller because balls were left aside.
+    """
+    begun = fit_to(cut, light)
+    core_deg, kept = begun.fit.held_out_deg, begun.fit.kept.sum()
+    if core_deg is None or whole.fit.core_deg is None or kept < CORE_KEPT * whole.fit.kept.sum():
+        return None
+    return (begun, cut) if core_deg < whole.fit.core_deg else None
+
+
+def _count(presses: Sequence[UsedPress]) -> int:
+    return sum(len(press.balls) for press in presses)
+
+
+def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
+    """Return the median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
+    common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
+    return float(np.median(fit.ball_error_deg[np.array(common)]))
+
+
+def fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
+    """Return the inverse map of the presses' balls, begun.
+
+    light : of untouched skin, None where no reference shows it
+    like : an earlier fit, whose choices are kept
+    """
+    samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
+    balls = [ball for press in presses for ball in press.balls]
+    alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
+    shape = presses[0].intensity.shape
+    return begin_fit(
+        samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like, alone=alone
     )

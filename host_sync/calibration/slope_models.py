@@ -16,14 +16,13 @@ from device.balls.viewpoint import MIN_HEIGHTS, Viewpoint
 from device.calibration.fit import BegunFit, InverseFit
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import REST_NODES, InverseMap
+from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from host_sync.calibration.ball_choice import Centres, fit_to, fit_to_best_balls
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
-from host_sync.calibration.radii import without_disagreement
+from host_sync.calibration.radii import Centres, fit_to, fit_to_best_balls, without_disagreement
 from host_sync.gradients.cell_slopes import cell_slopes
 from host_sync.kernels.cell_rows import middles_of_cells
 from host_sync.light.fit import FittedLight

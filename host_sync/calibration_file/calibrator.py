@@ -12,8 +12,13 @@ from device.errors import RecordError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.archive import Facts
-from host_sync.calibration_file.cache import CalibrationCache
-from host_sync.calibration_file.inputs import frames_of_bundle, frames_of_set, key_of_bundle, key_of_set
+from host_sync.calibration_file.inputs import (
+    CalibrationCache,
+    frames_of_bundle,
+    frames_of_set,
+    key_of_bundle,
+    key_of_set,
+)
 from host_sync.calibration_file.kept_calibration import (
     KeptCalibration,
     facts_of,

@@ -24,7 +24,7 @@ from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
 from host_sync.light.model import PLACES, TERMS
-from host_sync.lights.matt_lights import NUMBERS_OF_TERMS
+from host_sync.lights.light_groups import NUMBERS_OF_TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 

@@ -18,7 +18,7 @@ from device.balls.detector import RejectedBall
 from device.balls.sphere import Ball
 from device.surface.fields import HeightMap
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration.training_press import TrainingPress, pictures_across
+from host_sync.calibration.preparation import TrainingPress, pictures_across
 from host_sync.calibration_report.summary import calibration_lines
 
 WIDTH_IN: Final = 14.0

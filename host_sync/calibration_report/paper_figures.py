@@ -16,8 +16,13 @@ from scipy.ndimage import gaussian_filter
 from device.surface.fields import Float32Array, Float64Array
 from host_sync.johnson2009.lookup_table import MAX_CLUSTERS, slopes_of_bin
 from host_sync.johnson2009.model import PaperModel
-from host_sync.johnson2009.reflectance_map import ReflectanceMaps
-from host_sync.johnson2009.spherical_harmonics import EXTENSION, HarmonicFit, ReflectanceSurface, reflectance_surface
+from host_sync.johnson2009.spherical_harmonics import (
+    EXTENSION,
+    HarmonicFit,
+    ReflectanceMaps,
+    ReflectanceSurface,
+    reflectance_surface,
+)
 
 CHANNELS: Final = ("red", "green", "blue")
 ISOPHOTES: Final = 11

@@ -139,8 +139,8 @@ def calibrator_for(
     CalibrationFileError
         The named file cannot be read, or does not hold the paper's model.
     """
-    from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
+    from host_sync.calibration_file.inputs import CalibrationCache
 
     def obtained(kept: KeptCalibration, source: str) -> None:
         if facts is None:
@@ -169,8 +169,8 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
         There is none, or it is damaged.
     """
     from host_sync.calibration_file.archive import is_archive
-    from host_sync.calibration_file.cache import CalibrationCache
     from host_sync.calibration_file.calibrator import Calibrator
+    from host_sync.calibration_file.inputs import CalibrationCache
 
     calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
     if library is not None:

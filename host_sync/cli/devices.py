@@ -17,8 +17,7 @@ from host_sync.library.library import Library, default_library
 from host_sync.offload.ingest import PullReport, ReceiptWriter
 from host_sync.offload.paired_devices import PairedDevices, default_devices_folder, this_host
 from host_sync.offload.pull import PullProgress, pull, sync, utc_now
-from host_sync.offload.resolve import MAX_PORT, Address, is_folder, open_device, open_source
-from host_sync.offload.source import PATIENCE_S, DirectorySource
+from host_sync.offload.source import MAX_PORT, PATIENCE_S, Address, DirectorySource, is_folder, open_device, open_source
 
 CLOCK_SEEN_S: Final = 2.0
 LISTEN_S: Final = 3.0
@@ -69,10 +68,10 @@ def pair_command(
 
 def _only_announced() -> str:
     """Return the address of the one device that announces itself on the local network."""
-    from host_sync.offload import discovery
+    from host_sync.offload.paired_devices import discover
 
     print_line("Looking for the device on this network ...")
-    found = discovery.discover(LISTEN_S)
+    found = discover(LISTEN_S)
     if not found:
         raise SourceError("no device announces itself on this network: name its address, or --card and its memory card")
     if len(found) > 1:
@@ -132,7 +131,7 @@ def status_command(*, network: bool = False, seconds: float = LISTEN_S, json: bo
 
 def _list_announced(seconds: float, *, json: bool) -> int:
     """List the devices that announce themselves on the local network."""
-    from host_sync.offload.discovery import discover
+    from host_sync.offload.paired_devices import discover
 
     found = discover(seconds)
     if json:

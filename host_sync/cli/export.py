@@ -14,9 +14,9 @@ from device.command_line import Folder
 from device.errors import DeviceError
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line
 from host_sync.errors import ExportError, HostError
-from host_sync.export.csv_profile import LineUm
-from host_sync.export.formats import FORMATS, ExportChoices
+from host_sync.export.array_formats import LineUm
 from host_sync.export.raw_scan import RawFormat, export_raw
+from host_sync.export.surface_export import FORMATS, ExportChoices
 from host_sync.library.library import Library, default_library
 
 RAW: Final = get_args(RawFormat)

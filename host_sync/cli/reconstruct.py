@@ -29,7 +29,7 @@ from host_sync.cli.console import (
 )
 from host_sync.cli.measure import chosen_recipe
 from host_sync.errors import FrameSetError, HostError
-from host_sync.filters.detail import DetailBand
+from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import DetailName

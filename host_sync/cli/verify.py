@@ -18,7 +18,7 @@ from host_sync.errors import HostError
 from host_sync.library.library import Library, default_library
 from host_sync.library.verification import adopt as add_to_record
 from host_sync.library.verification import verify_library
-from host_sync.offload.resolve import open_source
+from host_sync.offload.source import open_source
 
 ACTIONS: Final = ("--repair", "--mirror", "--forget", "--reproduce")
 
@@ -132,7 +132,7 @@ def _forget(target: Library, names: Sequence[str]) -> int:
 
 def _repair(target: Library, sources: Sequence[str]) -> int:
     """Fetch lost and damaged bundles again."""
-    from host_sync.offload.repair import repair
+    from host_sync.offload.mirror import repair
 
     if not sources:
         raise HostError("name a card, folder, mirror or paired device to fetch from: retrosync verify --repair SOURCE")

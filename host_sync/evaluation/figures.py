@@ -26,8 +26,8 @@ from host_sync.calibration_report.paper_figures import caption, paper_figures
 from host_sync.errors import FrameSetError, LibraryError, ResultError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.library.library import Library
-from host_sync.reconstruction.perspective import seen_slopes
 from host_sync.reconstruction.pipeline import reconstruct
+from host_sync.reconstruction.slope_reading import seen_slopes
 
 DPI: Final = 130
 

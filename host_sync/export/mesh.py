@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface, ascii_line
-from host_sync.render.colormap import linear_light, tint_table
+from host_sync.render.shading import linear_light, tint_table
 
 MAX_VERTICES: Final = 2_000_000
 """Most triangles of a mesh: 200 MB of STL, which common viewers still display."""

@@ -26,8 +26,7 @@ from host_sync.frames.frame_set_file import (
 from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.image_info import ImageInfo
-from host_sync.frames.orientation import check_one_orientation
-from host_sync.frames.square_pixels import square_pitch, square_place, square_shape
+from host_sync.frames.orientation import check_one_orientation, square_pitch, square_place, square_shape
 
 COUNTED_SCANS: Final = 8
 """At most so many scans show, beside reference and presses, where counts of 16 bit end."""

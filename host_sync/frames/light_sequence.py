@@ -13,8 +13,8 @@ import numpy as np
 
 from device.bundles.scan import ScanBundle
 from device.errors import FrameError, RecordError
-from device.imaging.ambient import without_ambient
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
+from device.imaging.frame_light import without_ambient
 from device.surface.fields import Float32Array
 
 CHANNELS: Final = 3

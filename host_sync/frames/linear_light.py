@@ -19,7 +19,7 @@ from host_sync.frames.frame_set_file import MAX_LIGHTS, Encoding
 from host_sync.frames.full_scale import clip_level
 from host_sync.frames.image_file import read_image
 from host_sync.frames.image_info import Pixels
-from host_sync.frames.square_pixels import square_frame
+from host_sync.frames.orientation import square_frame
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:

@@ -20,7 +20,7 @@ import tifffile
 
 from device.bundles.raw_frame import read_raw
 from device.errors import RecordError
-from device.imaging.mosaic_binning import unbin_mosaic
+from device.imaging.flat_field import unbin_mosaic
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError

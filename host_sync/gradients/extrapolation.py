@@ -1,7 +1,7 @@
 """Pixels with slopes beyond the calibration's training data: they are kept, and marked.
 
 Steeper than any ball, or of a colour and place whose leverage exceeds that of every ball pixel
-(`device.inverse_map.leverage`).
+(`device.inverse_map.training_domain`).
 Leverage is looked at on a coarse grid and holds for the block of pixels around each of its points.
 """
 

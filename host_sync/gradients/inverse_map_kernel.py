@@ -12,9 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.illumination import rows_between_nodes
 from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
-from device.inverse_map.near_light import PLACE_DEGREE
+from device.inverse_map.near_light import PLACE_DEGREE, rows_between_nodes
 from device.inverse_map.polynomial_features import colour_exponents, position_exponents
 from device.inverse_map.regressor import FeatureRegressor
 from device.surface.fields import Float32Array, GradientField, MaskArray
@@ -44,8 +43,7 @@ from host_sync.gradients.block_kernels import (
     take_variables,
     write_confidence,
 )
-from host_sync.gradients.fourier_kernel import fourier_factor, tabulated_fourier_terms
-from host_sync.gradients.polynomial_kernel import tabled_degree, term_numbers
+from host_sync.gradients.polynomial_kernel import fourier_factor, tabled_degree, tabulated_fourier_terms, term_numbers
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import as_stored, colour_rows

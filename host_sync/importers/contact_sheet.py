@@ -13,7 +13,7 @@ from device.balls.sphere import Ball
 from device.io.atomic import write_output
 from host_sync.calibration.assessment import diameter_note
 from host_sync.calibration.located_presses import mend_of_radius
-from host_sync.calibration.training_press import pictures_across
+from host_sync.calibration.preparation import pictures_across
 from host_sync.calibration_report.overview import ShownPress, draw_sheet, reduced_picture, sheet_height_in
 from host_sync.frames.frame_set import FrameSet, PressSpec
 from host_sync.importers.draft import short_names

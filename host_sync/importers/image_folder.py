@@ -22,7 +22,6 @@ from device.errors import DeviceError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.surface.fields import Float32Array
 from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.fitting_radius import FittingRadius, fitting_radius
 from host_sync.calibration.located_presses import (
     ONE_LIGHT,
     ONE_LIGHT_WORDS,
@@ -30,6 +29,7 @@ from host_sync.calibration.located_presses import (
     flat_field_of,
     locate_usable,
 )
+from host_sync.calibration.radii import FittingRadius, fitting_radius
 from host_sync.calibration_file.inputs import press_frame, stand_ins
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSet, FrameSpec

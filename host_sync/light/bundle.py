@@ -10,9 +10,8 @@ import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array, MaskArray
-from host_sync.light.kernel_derivatives import EXTENT, light_derivatives
+from host_sync.light.kernel_derivatives import COAT, COAT_SIGMA, COAT_START, EXTENT, Numbers, light_derivatives
 from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms
-from host_sync.light.numbers import COAT, COAT_SIGMA, COAT_START, Numbers
 
 SAMPLES: Final = 3000
 FOLDS: Final = 6

@@ -17,9 +17,9 @@ from device.balls.sphere import Ball, BallSamples
 from device.surface.fields import Float64Array
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.bundle import OUTLYING, Bundle
+from host_sync.light.kernel_derivatives import Numbers
 from host_sync.light.kernels import write_light
 from host_sync.light.model import LightModel, source_points
-from host_sync.light.numbers import Numbers
 
 STARTS: Final = ((0.35, 0.45), (0.5, 0.2))
 """Height and length of the sources, in widths of the field, from which searches begin."""

@@ -18,11 +18,15 @@ from device.surface.fields import Float32Array, HeightMap, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import FormRemoval, PolynomialForm
 from host_sync.filters.gaussian_regression import GaussianRegression
-from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS, SHAPE, ParameterKind
 from host_sync.iso25178.areal_parameters import (
+    AREAL,
+    AREAL_SUBJECT,
+    GROUPS,
+    SHAPE,
     Autocorrelation,
     Decay,
     MaterialRatioCurve,
+    ParameterKind,
     decay,
     functional_parameters,
     height_parameters,

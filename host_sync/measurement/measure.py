@@ -11,7 +11,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
-from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
 from host_sync.measurement.areal_measurand import ArealMeasurand
 from host_sync.measurement.circle import CircleMeasurand

@@ -11,7 +11,7 @@ from device.quick_look.measures import MIN_CUTOFF_PX, ROUNDING
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.filters.gaussian_regression import profile_mean
-from host_sync.iso25178.areal_catalogue import ParameterKind
+from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.measurement.geometry import line_places
 from host_sync.measurement.recipe import ProfileTable
 from host_sync.profile.profile_line import Line, Profile, profile_along, profile_parameters

@@ -18,7 +18,7 @@ from hal.decoding import decode_toml
 from hal.validation import split_validation
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import MAX_DEGREE
-from host_sync.iso25178.areal_catalogue import AREAL, AREAL_SUBJECT, GROUPS
+from host_sync.iso25178.areal_parameters import AREAL, AREAL_SUBJECT, GROUPS
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.profile.step_height import StepKind
 from host_sync.results.files import DetailName

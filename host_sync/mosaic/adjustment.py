@@ -18,7 +18,7 @@ import numpy as np
 
 from device.surface.fields import Float64Array
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.motion import QUARTER, Motion, turning
+from host_sync.mosaic.overlaps import QUARTER, Motion, turning
 
 FLOOR_PX: Final = 0.3
 """What a link's place is uncertain by besides its own σ, px: gels are strained differently at each press."""

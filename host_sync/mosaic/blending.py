@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.mosaic.levelling import Levels
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Fields, Press
 from host_sync.registration.poses import between_pixels, reduced
 from host_sync.results.field_file import MAX_PIXELS

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float64Array
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Small
 from host_sync.registration.poses import Pose, moved
 

@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.mosaic.motion import Motion, turning
-from host_sync.mosaic.overlaps import Candidate
+from host_sync.mosaic.overlaps import Candidate, Motion, turning
 from host_sync.mosaic.presses import Small
 from host_sync.registration.fit import Fit, Pair, coherence, fit
 from host_sync.registration.poses import Pose, moved

@@ -16,8 +16,7 @@ from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.blending import blend, canvas_of
 from host_sync.mosaic.levelling import Meeting, levelled, meeting
 from host_sync.mosaic.links import RIVALLED, verified
-from host_sync.mosaic.motion import Motion
-from host_sync.mosaic.overlaps import APART_PX, COARSE_PX, Layout, candidates, coarse_slopes
+from host_sync.mosaic.overlaps import APART_PX, COARSE_PX, Layout, Motion, candidates, coarse_slopes
 from host_sync.mosaic.presses import Press, Small, check_together, read_small, small_of
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.writing import Plan, mosaic_record, write_mosaic

@@ -18,7 +18,7 @@ from host_sync.mosaic.adjustment import Adjusted
 from host_sync.mosaic.blending import Blend, Canvas
 from host_sync.mosaic.levelling import Levels, Meeting
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic
 from host_sync.registration.poses import reduced

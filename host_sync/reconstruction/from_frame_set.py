@@ -15,7 +15,7 @@ from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.calibration_report.report import REPORT_FILE
 from host_sync.errors import FrameSetError, HostError
-from host_sync.filters.detail import DetailBand
+from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
 from host_sync.frames.linear_light import read_frame
 from host_sync.kernels.kept_memory import kept_memory

@@ -15,7 +15,7 @@ from hal.frame import AS_GRANTED, BayerOrder
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
-from host_sync.filters.detail import DetailBand
+from host_sync.filters.form import DetailBand
 from host_sync.frames.light_sequence import LightSequence, read_light_sequence
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct

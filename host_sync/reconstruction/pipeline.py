@@ -19,8 +19,14 @@ from host_sync.integration.integrate import IntegrationReport
 from host_sync.integration.zero_level import NO_ZERO, Datum
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
-from host_sync.reconstruction.heights import Heights, RestingSlopes, noise_of, sharpened
-from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
+from host_sync.reconstruction.heights import (
+    Heights,
+    RestingSlopes,
+    noise_of,
+    raw_slope_sigma,
+    sharpened,
+    with_raw_detail,
+)
 from host_sync.reconstruction.reading_uncertainty import BeforeHeights, slope_error_of, uncertainty_of
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName

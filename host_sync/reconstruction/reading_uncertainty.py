@@ -15,8 +15,13 @@ from host_sync.integration.zero_level import Datum
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.slope_reading import SlopeReading
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
-from host_sync.uncertainty.height_error import HeightUncertainty, height_draws, height_uncertainty, reduced_size
-from host_sync.uncertainty.slope_draws import SlopeDraws
+from host_sync.uncertainty.height_error import (
+    HeightUncertainty,
+    SlopeDraws,
+    height_draws,
+    height_uncertainty,
+    reduced_size,
+)
 from host_sync.uncertainty.slope_error import SlopeError
 
 

@@ -15,7 +15,7 @@ import tifffile
 from device.io.atomic import atomic_directory
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
-from host_sync.filters.detail import DetailBand, detail
+from host_sync.filters.form import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.render.relief_sheet import write_relief
 from host_sync.results.field_file import write_field, write_mask

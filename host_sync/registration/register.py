@@ -11,8 +11,7 @@ import numpy as np
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
-from host_sync.registration.poses import Pose, at_pitch
-from host_sync.registration.starts import Start, starts, texture_starts
+from host_sync.registration.poses import Pose, Start, at_pitch, starts, texture_starts
 
 COARSE_PX: Final = 120
 FINE_PX: Final = 1024

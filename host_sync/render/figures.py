@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface.fields import Float32Array, HeightMap, surface_slopes
-from host_sync.render.colormap import tint_table
 from host_sync.render.relief_sheet import MAX_COLUMNS
-from host_sync.render.shading import exaggeration_for, height_range_um, reduced, relief_rgb, shade, steep_slope
+from host_sync.render.shading import (
+    exaggeration_for,
+    height_range_um,
+    reduced,
+    relief_rgb,
+    shade,
+    steep_slope,
+    tint_table,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

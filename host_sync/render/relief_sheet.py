@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from device.surface.fields import HeightMap, MaskArray
-from host_sync.render.colormap import tint_table
-from host_sync.render.shading import Picture, exaggeration_for, height_range_um, reduced, relief_rgb, steep_slope
+from host_sync.render.shading import (
+    Picture,
+    exaggeration_for,
+    height_range_um,
+    reduced,
+    relief_rgb,
+    steep_slope,
+    tint_table,
+)
 
 MAX_COLUMNS: Final = 1600
 MIN_COLUMNS: Final = 320

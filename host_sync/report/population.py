@@ -17,10 +17,9 @@ from host_sync.measurement.trend import MIN_COUNT, Trend, with_uncertainty
 from host_sync.render.relief_sheet import CELL_PX, contact_sheet
 from host_sync.render.shading import height_range_um
 from host_sync.render.still import Still, render, resize_to_width
-from host_sync.report.composing import place_of, signature, worst
+from host_sync.report.composing import hashed_file, origin_of, place_of, signature, worst
 from host_sync.report.content import Picture, Report, Table, Template
 from host_sync.report.pictures import picture_of
-from host_sync.report.provenance import hashed_file, origin_of
 from host_sync.report.trend_chart import chosen_trends, draw_chart
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result

@@ -16,7 +16,7 @@ from host_sync.integration.zero_level import Datum
 from host_sync.reconstruction.reading_uncertainty import known_scale_share, slope_error_of
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import height_uncertainty, nonintegrable_residual
-from host_sync.video.coarse import CoarseReading
+from host_sync.video.fine_pass import CoarseReading
 
 WIDEST_PX: Final = 160
 """Columns of the field on which errors are drawn, at most: they are long waves."""

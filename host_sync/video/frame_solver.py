@@ -26,8 +26,7 @@ from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
 from host_sync.gradients.even_confidence import even_confidence
-from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity
-from host_sync.gradients.intensity_checks import check_exposure
+from host_sync.gradients.flat_field_kernel import check_exposure, empty_intensity, raw_intensity, stored_intensity
 from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import Datum, find_datum, no_datum
@@ -35,17 +34,18 @@ from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import in_planes
-from host_sync.reconstruction.perspective import seen_slopes
-from host_sync.reconstruction.slope_reading import raise_on_warnings
+from host_sync.reconstruction.slope_reading import raise_on_warnings, seen_slopes
 from host_sync.results.record import refusals
-from host_sync.video.coarse import (
+from host_sync.video.fine_pass import (
     WIDEST_PX,
     CoarseReading,
+    FineCorrection,
     at_size,
+    block_moments,
     corrects_coarsely,
+    level,
     read_coarse,
 )
-from host_sync.video.fine_pass import FineCorrection, block_moments, level
 from host_sync.video.frame_sigma import FrameSigma
 
 CHECK_STRIDE_FACTOR: Final = 8

@@ -30,8 +30,8 @@ from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
 from host_sync.results.record import ResultRecord, SequenceFrame, SequenceRecord, encode_record
-from host_sync.video.coarse import CELLS_ACROSS
 from host_sync.video.contact import ContactRow, SlipTracker, draw_contact_chart, write_contact_table
+from host_sync.video.fine_pass import CELLS_ACROSS
 from host_sync.video.frame_solver import FrameSolver, FrameStatistics
 from host_sync.video.movie import MovieFiles, Progress, RenderedRelief, write_movie
 from host_sync.video.stream import FrameStream, SolvedFrame

@@ -21,7 +21,7 @@ from hal.clock import SystemClock
 from hal.errors import HalError
 from hal.frame import RawFrame
 from hal.interfaces import Clock, LiftOff, PressObject
-from hal.profile_files import profile_names
+from hal.profile_tables import profile_names
 from host_sync.errors import SourceError
 from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame, open_sequence
 

@@ -23,7 +23,7 @@ from host_sync.errors import HostError, RegistrationRefused, ViewError
 from host_sync.library.index import Query
 from host_sync.library.labels import Label, label_scan
 from host_sync.library.library import Library
-from host_sync.render.colormap import palettes
+from host_sync.render.shading import palettes
 from host_sync.viewer.access import Access, AccessCheck, refused
 from host_sync.viewer.catalogue import Catalogue, ListFilter
 from host_sync.viewer.entry import Entry, relabelled

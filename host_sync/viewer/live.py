@@ -35,7 +35,7 @@ from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.live import LiveHeights
 from host_sync.video.recorder import Recorder
 from host_sync.video.stream import SolvedFrame
-from host_sync.viewer.pyramid import coarse_levels, finest_rows, level_count, padded_shape
+from host_sync.viewer.cache import coarse_levels, finest_rows, level_count, padded_shape
 from host_sync.viewer.responses import json_answer, readable
 
 AHEAD: Final = 2

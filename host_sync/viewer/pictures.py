@@ -15,7 +15,7 @@ from device.surface.fields import Float32Array
 from host_sync.errors import HostError, ViewError
 from host_sync.frames.frame_set import ScanSpec
 from host_sync.frames.linear_light import read_frame
-from host_sync.render.colormap import HIGHLIGHT, tint_table
+from host_sync.render.shading import HIGHLIGHT, tint_table
 from host_sync.viewer.entry import Entry
 
 THUMBNAIL_PX: Final = 384

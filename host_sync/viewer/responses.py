@@ -16,8 +16,8 @@ from device.surface.fields import Float32Array, Float64Array
 from host_sync.csv_table import table_text
 from host_sync.errors import ViewError
 from host_sync.profile.profile_line import Line, Profile, bilinear
+from host_sync.viewer.cache import Level
 from host_sync.viewer.entry import Entry
-from host_sync.viewer.pyramid import Level
 
 _FACTS: Final = (
     "name", "method", "calibration_id", "program", "written_utc", "calibration_passed", "masked_share",

@@ -20,15 +20,14 @@ from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.profile.profile_line import Line
 from host_sync.render.shading import steep_slope
-from host_sync.report.provenance import origin_of
+from host_sync.report.composing import origin_of
 from host_sync.results.field_file import write_field
 from host_sync.results.files import HEIGHT_SIGMA_FILE, SAMPLES_FILE
 from host_sync.results.record import ResultRecord, SequenceRecord
-from host_sync.viewer.cache import Cache
+from host_sync.viewer.cache import Cache, Level, level_count, padded_shape
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import DifferenceRecord, Entry, Heights, Record, key_of
 from host_sync.viewer.pictures import frame_picture, grey_frames, sigma_picture, thumbnail
-from host_sync.viewer.pyramid import Level, level_count, padded_shape
 from host_sync.viewer.responses import MeasuredLine, measure_line
 
 if TYPE_CHECKING:

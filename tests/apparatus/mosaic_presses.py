@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Fields, Press
 from host_sync.registration.poses import between_pixels
 from host_sync.results.field_file import write_field

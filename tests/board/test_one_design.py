@@ -13,9 +13,8 @@ from hal.board_profile import BoardProfile, load_board_profile
 from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.profile_tables import BeamConfig
-from hal.simulator.as_built import twin_of
 from hal.simulator.lens import Lens
-from hal.simulator.scene import ACRYLIC, render
+from hal.simulator.scene import ACRYLIC, render, twin_of
 from tests.drawings.board.beam import (
     brightest_to_darkest,
     centre_to_darkest,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hal.board_profile import load_board_profile
-from hal.profile_files import profile_names
+from hal.profile_tables import profile_names
 
 BOARD = Path(__file__).parents[2] / "board"
 OVERLAY = BOARD / "overlay" / "retrograph.dts"

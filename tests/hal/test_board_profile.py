@@ -9,7 +9,7 @@ from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116
 from hal.errors import BoardProfileError
 from hal.frame import CameraSettings
-from hal.profile_files import profile_names
+from hal.profile_tables import profile_names
 from hal.simulator.camera import SENSORS, granted
 
 

@@ -12,8 +12,8 @@ from limits import WAIT_S
 from device.bundles.calibration import CalibrationBundle
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
-from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.cli import console
 from host_sync.kernels.cache import USER_CACHE, configure_cache
 

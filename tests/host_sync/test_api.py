@@ -34,7 +34,7 @@ from host_sync.errors import (
     UnreadableResult,
 )
 from host_sync.kernels.cache import USER_CACHE
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.video import frame_solver
 
 PUBLIC = {

@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from device.bundles.scan import Annotations, VerdictLevel
-from device.calibration.acceptance import Check
-from device.calibration.coverage import DIRECTIONS, SIDES, Coverage
+from device.calibration.acceptance import DIRECTIONS, SIDES, Check, Coverage
 from device.calibration.limits import PASSED_STEEPEST_DEG
 from device.quick_look.measures import (
     Point,

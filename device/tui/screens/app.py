@@ -35,16 +35,15 @@ from device.instrument.instrument import Instrument
 from device.instrument.state import AreaState, SpotState
 from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.frame_rate import FrameRateLimiter
+from device.tui.drawing.height_picture import FrameRateLimiter
 from device.tui.drawing.text import measure_text
-from device.tui.screens.base import InstrumentScreen
+from device.tui.screens.base import InstrumentScreen, themes_for
 from device.tui.screens.calibration import CalibrationScreen
 from device.tui.screens.panels import ProgramInfo
 from device.tui.screens.picture_viewer import view_picture
 from device.tui.screens.scan import ScanScreen
 from device.tui.screens.scans import ScansScreen
 from device.tui.screens.setup import SetUpScreen
-from device.tui.screens.themes import themes_for
 from device.tui.widgets.cells_view import HeightView
 from device.tui.widgets.dialogs import ChoiceDialog, ConfirmDialog, Dialog, KeysDialog
 from device.tui.widgets.navigation import Notice, Place, place_after

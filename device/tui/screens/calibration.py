@@ -15,7 +15,7 @@ from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.instrument.state import LiveView as LivePicture
 from device.tui.drawing.cells import ColourDepth
-from device.tui.drawing.frame_picture import Circle
+from device.tui.drawing.height_picture import Circle
 from device.tui.drawing.text import check_lines, coverage_lines, gauge_text, hanging, screen_advice
 from device.tui.screens.base import InstrumentScreen
 from device.tui.widgets.cells_view import LiveView

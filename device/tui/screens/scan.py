@@ -16,7 +16,7 @@ from device.bundles.scan import Annotations, CaptureMode
 from device.errors import DeviceError
 from device.guidance.cover_task import MAX_AREA_MM
 from device.guidance.guide import Advice
-from device.instrument.alarms import NO_ROOM
+from device.instrument.health import NO_ROOM
 from device.instrument.instrument import Instrument
 from device.instrument.state import Activity, AreaState, InstrumentState, LastScan, SpotState
 from device.tui.drawing.cells import ColourDepth

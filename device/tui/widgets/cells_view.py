@@ -22,8 +22,16 @@ from textual.widget import Widget
 from device.quick_look.measures import Point, levelled
 from device.surface.fields import Float32Array, HeightMap
 from device.tui.drawing.cells import OWN, CellGrid, ColourDepth, fitted_shape
-from device.tui.drawing.frame_picture import Circle, frame_cells, shown_colours
-from device.tui.drawing.height_picture import Room, height_picture, picture_rows, relief_shape, sentence_cells
+from device.tui.drawing.height_picture import (
+    Circle,
+    Room,
+    frame_cells,
+    height_picture,
+    picture_rows,
+    relief_shape,
+    sentence_cells,
+    shown_colours,
+)
 from device.tui.drawing.relief import ProfileCursor
 
 

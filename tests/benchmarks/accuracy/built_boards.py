@@ -13,9 +13,9 @@ import msgspec
 from device.acquisition.auto_exposure import auto_exposure
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import VirtualClock
-from hal.simulator.as_built import twin_of
 from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
+from hal.simulator.scene import twin_of
 from tests.benchmarks.accuracy.marks import BUILT
 from tests.benchmarks.accuracy.resolution import mosaic_resolution
 from tests.benchmarks.accuracy.twin_instrument import BALL_RADIUS_MM, TwinInstrument

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
 from device.calibration.candidates import RegressorFit, RegressorForm, fit_regressor
-from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
+from device.imaging.flat_field import LinearFrame, NormalizedImage, estimate_flat_field, flat_field_correct
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.fields import GradientField

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from device.acquisition.capture import CaptureSettings, capture
-from device.imaging.ambient import without_ambient
 from device.imaging.flat_field import bin_bayer, demosaic
+from device.imaging.frame_light import without_ambient
 from hal.interfaces import OperatorRequest, PressBall, PressObject
 from host_sync.frames.light_sequence import CHANNELS, LightSequence
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct

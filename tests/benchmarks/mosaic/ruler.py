@@ -24,8 +24,7 @@ import numpy as np
 
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.mosaic.adjustment import adjusted
-from host_sync.mosaic.motion import Motion, turning
-from host_sync.mosaic.overlaps import Layout
+from host_sync.mosaic.overlaps import Layout, Motion, turning
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.stitch import planned, stitch

@@ -22,7 +22,7 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import calibration_of
-from host_sync.video.coarse import at_size as calibration_at_size
+from host_sync.video.fine_pass import at_size as calibration_at_size
 from tests.benchmarks.speed.plan import Shape, named
 
 BALL_RADIUS_MM = 3.0

@@ -9,7 +9,7 @@ import pytest
 from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
 from device.errors import RecordError
-from device.imaging.mosaic_binning import bin_mosaic, can_bin, unbin_mosaic
+from device.imaging.flat_field import bin_mosaic, can_bin, unbin_mosaic
 from device.store.store import BundleStore
 from hal.frame import CameraSettings, RawFrame
 from hal.hardware import Hardware

@@ -12,8 +12,13 @@ from numpy.typing import NDArray
 
 from device.balls.detector import SHALLOW, BallSearch, find_balls
 from device.errors import CalibrationError
-from device.imaging.estimated_flat_field import estimate_flat_field
-from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct, make_flat_field
+from device.imaging.flat_field import (
+    LinearFrame,
+    NormalizedImage,
+    estimate_flat_field,
+    flat_field_correct,
+    make_flat_field,
+)
 
 RADIUS_PX = 60.0
 SHAPE = (400, 520)

@@ -12,7 +12,7 @@ from device.balls.sphere import Ball, BallSamples, gather_samples, sphere_slopes
 from device.calibration.candidates import RegressorFit
 from device.calibration.fit import BegunFit, _shared, begin_fit
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.near_light import IlluminationMap
 
 SHAPE = (160, 220)
 BALLS = tuple(Ball(column, row, 24.0, 40.0) for row in (40.0, 80.0, 120.0) for column in (40.0, 110.0, 180.0))

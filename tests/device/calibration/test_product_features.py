@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from device.calibration.product_features import ProductFeatures
-from device.inverse_map.fourier_features import RandomFourierFeatures
-from device.inverse_map.polynomial_features import colour_exponents, monomial_rows, monomials, position_exponents
+from device.inverse_map.polynomial_features import (
+    RandomFourierFeatures,
+    colour_exponents,
+    monomial_rows,
+    monomials,
+    position_exponents,
+)
 from device.surface.fields import Float64Array
 
 PIXELS = 5000

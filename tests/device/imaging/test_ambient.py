@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from device.errors import FrameError
-from device.imaging.ambient import without_ambient
+from device.imaging.frame_light import without_ambient
 from hal.frame import CameraSettings, RawFrame
 
 

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from device.errors import CalibrationMismatch, FrameError
-from device.imaging.estimated_flat_field import estimate_flat_field
 from device.imaging.flat_field import (
     DEMOSAIC_BLUR_PX,
     LinearFrame,
     bin_bayer,
     check_exposed,
     demosaic,
+    estimate_flat_field,
     flat_field_correct,
     make_flat_field,
 )

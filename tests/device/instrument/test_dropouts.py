@@ -3,7 +3,6 @@
 import pytest
 
 import device.store.store
-from device.instrument.alarms import alarms
 from device.instrument.events import (
     CalibrationStep,
     Failed,
@@ -13,6 +12,7 @@ from device.instrument.events import (
     PressRefused,
     ScanFinished,
 )
+from device.instrument.health import alarms
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.hardware import Hardware

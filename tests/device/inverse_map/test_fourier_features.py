@@ -8,9 +8,15 @@ import pytest
 from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.candidates import Lesson
 from device.errors import RecordError
-from device.inverse_map.feature_scaling import FeatureScaler
-from device.inverse_map.fourier_features import AMPLITUDE, MAX_WAVES, WAVES, RandomFourierFeatures
-from device.inverse_map.polynomial_features import colour_exponents, position_exponents
+from device.inverse_map.polynomial_features import (
+    AMPLITUDE,
+    MAX_WAVES,
+    WAVES,
+    FeatureScaler,
+    RandomFourierFeatures,
+    colour_exponents,
+    position_exponents,
+)
 from device.inverse_map.regressor import FeatureRegressor
 
 SHAPE = (240, 320)

@@ -5,7 +5,7 @@ import pytest
 
 from device.balls.sphere import BallSamples
 from device.inverse_map.gentle_skin import GentleSkin
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.polynomial_features import field_position
 
 SHAPE = (120, 160)

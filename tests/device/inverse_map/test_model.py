@@ -11,8 +11,8 @@ from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import InverseFit, fit_inverse_map
 from device.errors import CalibrationError, CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import InverseMap
+from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.polynomial_features import colour_exponents, monomials, position_exponents
 from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
 

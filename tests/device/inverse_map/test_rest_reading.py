@@ -8,13 +8,12 @@ import pytest
 from device.balls.sphere import Ball, gather_samples, sphere_slopes
 from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.branches import RawLightBranch
-from device.inverse_map.feature_scaling import FeatureScaler
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.branches import RawLightBranch, light_at_rest
 from device.inverse_map.model import InverseMap
+from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import measure_noise_bias
+from device.inverse_map.polynomial_features import FeatureScaler
 from device.inverse_map.regressor import FeatureRegressor
-from device.inverse_map.rest_reading import light_at_rest
 from device.inverse_map.tabulated import TabulatedInverseMap
 from device.inverse_map.training_domain import TrainingDomain
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from device.instrument.alarms import NO_ROOM
+from device.instrument.health import NO_ROOM
 from device.store.choices import Settings
 from tests.device.tui.conftest import Stage
 from tests.device.tui.test_way_back import AT_START, MOVED, scanned

@@ -2,7 +2,7 @@
 
 import pytest
 
-from device.tui.drawing.frame_rate import MAX_INTERVAL_S, FrameRateLimiter
+from device.tui.drawing.height_picture import MAX_INTERVAL_S, FrameRateLimiter
 
 
 def test_pictures_come_at_the_interval() -> None:

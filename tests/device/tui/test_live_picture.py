@@ -8,7 +8,7 @@ import numpy as np
 from textual.app import App, ComposeResult
 from textual.geometry import Region
 
-from device.tui.drawing.frame_picture import shown_colours
+from device.tui.drawing.height_picture import shown_colours
 from device.tui.widgets.cells_view import LiveView
 
 SHAPE = (96, 128, 3)

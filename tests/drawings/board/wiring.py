@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hal.board_profile import BoardProfile, ButtonConfig, LightDriverConfig, load_board_profile
-from hal.profile_files import profile_names
+from hal.profile_tables import profile_names
 
 WIRING_FILE = Path(__file__).parents[3] / "board" / "wiring" / "wiring.toml"
 FIVE_VOLT = {"LED+", "+5V"}

@@ -9,8 +9,8 @@ import pytest
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.errors import BoardProfileError
 from hal.profile_tables import LensConfig
-from hal.simulator.as_built import twin_of
 from hal.simulator.lens import Blur, Lens, blur_of
+from hal.simulator.scene import twin_of
 
 LENS = LensConfig(focal_mm=25.0, f_number=4.0, pixel_um=3.45)
 PITCH_UM = 12.0

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from scipy.special import k0, k1
 
-from hal.simulator.arrays import FloatArray
 from hal.simulator.elastomer import ball_indentation_mm, decay_length_mm, drape
-from hal.simulator.surfaces import Block, Groove, Sphere
+from hal.simulator.surfaces import Block, FloatArray, Groove, Sphere
 
 PITCH_MM = 0.04
 THICKNESS_MM = 2.5

@@ -4,10 +4,9 @@ import pytest
 from hal.errors import OperatorError
 from hal.hardware import Hardware
 from hal.interfaces import PressObject
-from hal.simulator.arrays import FloatArray
 from hal.simulator.bench import SimulatedScene
 from hal.simulator.operator import gallery_names, specimen
-from hal.simulator.surfaces import Block, Groove, Plane, Sinusoid, Sphere, SphereGrid, Step, smooth_step
+from hal.simulator.surfaces import Block, FloatArray, Groove, Plane, Sinusoid, Sphere, SphereGrid, Step, smooth_step
 
 
 def grid() -> tuple[FloatArray, FloatArray]:

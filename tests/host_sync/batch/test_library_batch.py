@@ -17,8 +17,8 @@ from mortal_work import DieOnce
 from device.bundles.scan import ScanBundle
 from device.errors import OutputError
 from host_sync.batch.library_batch import ScanOutcome, ScanWork, one_by_one, reconstruct_scans
-from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
+from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.cli.main import main
 from host_sync.library.library import Library

@@ -23,7 +23,7 @@ from device.imaging.flat_field import (
     flat_field_correct,
     make_flat_field,
 )
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.near_light import IlluminationMap
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.interfaces import LiftOff, PressBall
@@ -31,12 +31,11 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import SphereGrid
-from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.consistency import check_agreement
 from host_sync.calibration.located_presses import detect_grid
-from host_sync.calibration.radii import contradicts, left_out, radius_shares, radius_spread
+from host_sync.calibration.radii import contradicts, fit_to, left_out, radius_shares, radius_spread
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0

@@ -10,7 +10,7 @@ import pytest
 
 from device.calibration.acceptance import Check
 from device.imaging.flat_field import LinearFrame, make_flat_field
-from device.inverse_map.illumination import IlluminationMap
+from device.inverse_map.near_light import IlluminationMap
 from host_sync.calibration.assessment import (
     PIXEL_SHAPE,
     Assessment,
@@ -20,11 +20,11 @@ from host_sync.calibration.assessment import (
     measure_pixel_shape,
     widest_contact,
 )
-from host_sync.calibration.ball_choice import fit_to
 from host_sync.calibration.balls import PressFrame, apply_fit, locate
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
+from host_sync.calibration.radii import fit_to
 from host_sync.calibration.scale import ScaleUncertainty
-from host_sync.frames.square_pixels import square_frame
+from host_sync.frames.orientation import square_frame
 
 SHAPE = (210, 280)
 RADIUS_PX = 36.0

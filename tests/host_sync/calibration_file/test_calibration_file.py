@@ -20,9 +20,8 @@ from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
-from host_sync.calibration_file.cache import CalibrationCache
 from host_sync.calibration_file.calibrator import Calibrator
-from host_sync.calibration_file.inputs import frames_of_set, key_of_set
+from host_sync.calibration_file.inputs import CalibrationCache, frames_of_set, key_of_set
 from host_sync.calibration_file.kept_calibration import (
     REPORT_NAMES,
     KeptCalibration,

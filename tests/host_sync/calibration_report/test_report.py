@@ -9,7 +9,7 @@ import pytest
 
 from device.balls.detector import BallSearch, RejectedBall
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.coverage import measure_coverage
+from device.calibration.acceptance import measure_coverage
 from device.imaging.flat_field import LinearFrame, NormalizedImage
 from host_sync.calibration.assessment import checks
 from host_sync.calibration.balls import (
@@ -21,9 +21,9 @@ from host_sync.calibration.balls import (
     relocate_labels,
 )
 from host_sync.calibration.pixel_pitch import PixelPitch
+from host_sync.calibration.preparation import MAX_SHOWN, training_presses
 from host_sync.calibration.scale import scale_uncertainty, with_stated_pitch
-from host_sync.calibration.training_press import MAX_SHOWN, training_presses
-from host_sync.calibration_report.report import balls_figure
+from host_sync.calibration_report.balls_figure import balls_figure
 
 SHAPE = (90, 120)
 RADIUS_PX = 12.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.calibration_file.cache import CalibrationCache
+from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.cli.main import main, run
 from host_sync.errors import LibraryError
 from host_sync.kernels.cache import SETTING, USER_CACHE, cache_home, configure_cache

@@ -18,8 +18,7 @@ from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.raw_frame import write_raw
 from device.bundles.scan import Annotations
-from device.imaging.flat_field import demosaic, make_flat_field
-from device.imaging.mosaic_binning import MOVIE_BINNING
+from device.imaging.flat_field import MOVIE_BINNING, demosaic, make_flat_field
 from device.inverse_map.npz import MODEL_FILE, read_model
 from device.store.active import read_active
 from device.store.store import BundleStore

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import BallSamples
-from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
 from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import DARK_OFFSET, FeatureScaler
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope

@@ -5,8 +5,8 @@ import pytest
 
 from device.balls.sphere import BallSamples
 from device.imaging.flat_field import DEMOSAIC_BLUR_PX
-from device.inverse_map.feature_scaling import FeatureScaler
 from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import FeatureScaler
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.denoising.blur_correction import BLUR_PX

@@ -16,9 +16,8 @@ import pytest
 
 from device.surface.fields import Float32Array
 from host_sync.cli.main import main
-from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.surface_export import export_surface
+from host_sync.export.surface_export import ExportChoices, export_surface
 
 PITCH_UM, ROWS = 12.0, 37
 UNIT_UM = {"ply": 1e3, "stl": 1e3, "obj": 1e3, "glb": 1e6}

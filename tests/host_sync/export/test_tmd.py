@@ -13,9 +13,8 @@ import pytest
 from device.surface.fields import Float32Array
 from host_sync.cli.main import main
 from host_sync.errors import ExportError
-from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.surface_export import export_surface
+from host_sync.export.surface_export import ExportChoices, export_surface
 from host_sync.export.tmd import read_tmd, write_tmd
 
 DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))

@@ -7,7 +7,7 @@ import pytest
 
 from device.surface.fields import HeightMap
 from host_sync.errors import FilterError
-from host_sync.filters.detail import DetailBand, detail
+from host_sync.filters.form import DetailBand, detail
 from host_sync.filters.gaussian_regression import gaussian_mean
 from host_sync.render.figures import exaggeration
 

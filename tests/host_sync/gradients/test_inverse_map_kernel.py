@@ -9,12 +9,14 @@ import pytest
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve
-from device.inverse_map.feature_scaling import FeatureScaler
-from device.inverse_map.fourier_features import RandomFourierFeatures
-from device.inverse_map.illumination import IlluminationMap
 from device.inverse_map.model import InverseMap, rest_nodes
-from device.inverse_map.near_light import NearLightModel
-from device.inverse_map.polynomial_features import colour_exponents, position_exponents
+from device.inverse_map.near_light import IlluminationMap, NearLightModel
+from device.inverse_map.polynomial_features import (
+    FeatureScaler,
+    RandomFourierFeatures,
+    colour_exponents,
+    position_exponents,
+)
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.stereographic import slope_from_stereographic

@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
 
-from host_sync.johnson2009.reflectance_map import CELLS, ReflectanceMaps
-from host_sync.johnson2009.spherical_harmonics import fit_harmonics, harmonics, harmonics_of_normal
+from host_sync.johnson2009.spherical_harmonics import (
+    CELLS,
+    ReflectanceMaps,
+    fit_harmonics,
+    harmonics,
+    harmonics_of_normal,
+)
 
 
 def test_the_harmonics_are_orthonormal_over_the_sphere():

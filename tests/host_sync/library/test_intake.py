@@ -20,9 +20,8 @@ from host_sync.library.intake import HEAD_FILE, INTAKE_FILE, read_intake
 from host_sync.library.library import Library
 from host_sync.library.set_aside import list_set_aside
 from host_sync.library.verification import adopt, verify_library
-from host_sync.offload.mirror import SftpPlace, mirror_to_folder
+from host_sync.offload.mirror import SftpPlace, mirror_to_folder, repair
 from host_sync.offload.pull import pull
-from host_sync.offload.repair import repair
 from host_sync.offload.source import DirectorySource
 
 SCANS = 4

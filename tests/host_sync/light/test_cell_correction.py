@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from device.surface.fields import GradientField
-from host_sync.light.cell_correction import CellCorrection
+from host_sync.light.reading import CellCorrection
 
 CELL = 4
 SIZE = (20, 30)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from device.surface.fields import Float64Array
-from host_sync.light.kernel_derivatives import EXTENT, light_derivatives
+from host_sync.light.kernel_derivatives import COAT, COAT_START, EXTENT, Numbers, light_derivatives
 from host_sync.light.kernels import write_search
 from host_sync.light.model import ELEVATION, MONOMIALS, PLACES, TERMS, LightModel
-from host_sync.light.numbers import COAT, COAT_START, Numbers
 
 STEP = 1e-5
 COATS = {

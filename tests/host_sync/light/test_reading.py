@@ -15,8 +15,7 @@ from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
-from host_sync.light.cell_correction import CellCorrection
-from host_sync.light.reading import correct_slopes
+from host_sync.light.reading import CellCorrection, correct_slopes
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 LAMP_PX = 180.0

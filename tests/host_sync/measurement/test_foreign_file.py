@@ -9,9 +9,8 @@ import pytest
 
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
-from host_sync.export.formats import ExportChoices
 from host_sync.export.source_surface import SourceSurface
-from host_sync.export.surface_export import export_surface
+from host_sync.export.surface_export import ExportChoices, export_surface
 from host_sync.measurement.foreign_file import read_foreign
 
 

@@ -10,7 +10,7 @@ from mosaic_presses import errors_px, grid_places
 
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 
 SHAPE = (272, 364)
 REACH_PX = 0.5 * float(np.hypot(*SHAPE))

@@ -5,7 +5,7 @@ import socket
 import pytest
 from zeroconf import ServiceInfo, Zeroconf
 
-from host_sync.offload.discovery import SERVICE, discover
+from host_sync.offload.paired_devices import SERVICE, discover
 
 
 def test_a_device_is_heard_and_other_servers_are_not() -> None:

@@ -42,10 +42,9 @@ from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main
 from host_sync.errors import HostError, NoSource, PairingError, SourceError
-from host_sync.offload import discovery, paired_devices
-from host_sync.offload.discovery import Announcement
-from host_sync.offload.paired_devices import PairedDevice, PairedDevices
-from host_sync.offload.resolve import Address
+from host_sync.offload import paired_devices
+from host_sync.offload.paired_devices import Announcement, PairedDevice, PairedDevices
+from host_sync.offload.source import Address
 
 
 @pytest.fixture
@@ -146,7 +145,7 @@ def test_pair_looks_for_the_device_before_it_asks(
 
     monkeypatch.setattr("builtins.input", asked)
     announced: list[Announcement] = []
-    monkeypatch.setattr(discovery, "discover", lambda _: announced)
+    monkeypatch.setattr(paired_devices, "discover", lambda _: announced)
     assert main(["pair"]) == 3
     assert "no device announces itself" in capsys.readouterr().err
     assert main(["pair", "127.0.0.1", "--port", "1"]) == 3

@@ -7,7 +7,7 @@ import numpy as np
 from device.balls.viewpoint import Viewpoint
 from device.surface.fields import GradientField, HeightMap
 from device.surface.poisson_dct import integrate_dct
-from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
+from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes
 
 SHAPE = (301, 401)
 VIEW = Viewpoint(200.0, 150.0, 900.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from device.surface.fields import HeightMap
-from host_sync.reconstruction.raw_detail import raw_slope_sigma, with_raw_detail
+from host_sync.reconstruction.heights import raw_slope_sigma, with_raw_detail
 from host_sync.results.record import SlopeNoise
 
 SHAPE = (203, 310)

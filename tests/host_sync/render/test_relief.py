@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from device.surface.fields import HeightMap
-from host_sync.render.colormap import tint_table
 from host_sync.render.relief_sheet import ReliefSheet, round_below, ticks, write_relief
 from host_sync.render.shading import (
     exaggeration_for,
@@ -15,6 +14,7 @@ from host_sync.render.shading import (
     relief_rgb,
     shade,
     steep_slope,
+    tint_table,
 )
 
 

@@ -15,11 +15,11 @@ import pytest
 import tifffile
 from PIL import Image
 
-from device.calibration.coverage import SECTORS
+from device.calibration.acceptance import SECTORS
 from host_sync import api
 from host_sync.cli.export import ExportFormat
 from host_sync.cli.main import main
-from host_sync.export.formats import FORMATS
+from host_sync.export.surface_export import FORMATS
 from host_sync.results.doubt import DoubtKind
 from host_sync.results.doubts import doubts_at, record_doubts
 from host_sync.results.field_file import write_field, write_mask

@@ -13,7 +13,7 @@ from mosaic_presses import press_of_map, pressed, rough_target, write_press
 
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.cli.main import main
-from host_sync.mosaic.motion import Motion
+from host_sync.mosaic.overlaps import Motion
 from host_sync.registration.difference import are_copies, difference
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER, changes
 

@@ -14,7 +14,7 @@ from host_sync.uncertainty.ball_gains import (
     local_normals,
     shared_and_local,
 )
-from host_sync.uncertainty.slope_draws import SAMPLES, _normals
+from host_sync.uncertainty.height_error import SAMPLES, _normals
 
 BANDS = ((0.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0))
 BALL = Ball(60.0, 60.0, 50.0, 90.0)

@@ -16,9 +16,9 @@ from host_sync.uncertainty.height_error import (
     height_uncertainty,
     nonintegrable_residual,
     reduced_size,
+    slope_draws,
     slope_sigma,
 )
-from host_sync.uncertainty.slope_draws import slope_draws
 from host_sync.uncertainty.slope_error import SlopeError
 
 SHAPE = (200, 256)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from host_sync.uncertainty.elevation import ElevationCorrection
-from host_sync.uncertainty.slope_draws import SAMPLES, SlopeDraws, slope_draws
+from host_sync.uncertainty.height_error import SAMPLES, SlopeDraws, slope_draws
 from host_sync.uncertainty.slope_error import SlopeError
 
 SIZE = (96, 64)

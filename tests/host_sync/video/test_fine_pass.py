@@ -7,9 +7,8 @@ import pytest
 
 from device.balls.viewpoint import Viewpoint
 from device.surface.fields import GradientField, HeightMap
-from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
-from host_sync.video.coarse import CoarseReading
-from host_sync.video.fine_pass import FineCorrection, block_moments, level
+from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes
+from host_sync.video.fine_pass import CoarseReading, FineCorrection, block_moments, level
 
 SHAPE = (60, 90)
 CAMERA = Viewpoint(20.0, 33.0, 150.0)

@@ -17,8 +17,8 @@ from PIL import Image
 
 from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationMismatch, OutputError
-from device.inverse_map.feature_scaling import DARK_OFFSET, FeatureScaler
 from device.inverse_map.model import InverseMap
+from device.inverse_map.polynomial_features import DARK_OFFSET, FeatureScaler
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface.fields import GradientField, HeightMap
@@ -26,9 +26,9 @@ from device.surface.poisson_dct import integrate_dct
 from device.surface.stereographic import stereographic_from_slope
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, StoredFrame
-from host_sync.reconstruction.perspective import seen_elevation, seen_slopes
+from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes
 from host_sync.results.record import SequenceRecord, encode_record, read_listed_record
-from host_sync.video.coarse import WIDEST_PX, corrects_coarsely
+from host_sync.video.fine_pass import WIDEST_PX, corrects_coarsely
 from host_sync.video.frame_solver import FrameSolver
 from host_sync.video.reconstruct import HeightStack, SequenceOptions, open_heights, reconstruct_sequence
 from tests.apparatus.plain_calibration import plain_calibration

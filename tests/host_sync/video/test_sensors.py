@@ -11,7 +11,7 @@ import pytest
 
 from hal.clock import VirtualClock
 from hal.errors import CameraError
-from hal.profile_files import profile_folder
+from hal.profile_tables import profile_folder
 from host_sync.errors import SequenceError, SourceError
 from host_sync.frames.sequence import BadFrame, StoredFrame, open_sequence
 from host_sync.video import sensors

@@ -24,8 +24,8 @@ from host_sync.video.recorder import Recorder
 from host_sync.video.stream import SolvedFrame
 from host_sync.viewer.access import Access
 from host_sync.viewer.app import make_live_app
+from host_sync.viewer.cache import level_count, padded_shape
 from host_sync.viewer.live import LiveView
-from host_sync.viewer.pyramid import level_count, padded_shape
 from host_sync.viewer.serving import listening, make_server
 
 SHAPE = (120, 160)

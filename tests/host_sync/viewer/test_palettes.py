@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from host_sync.render.colormap import palettes
+from host_sync.render.shading import palettes
 
 LIGHTNESS = np.array([0.2126, 0.7152, 0.0722])
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from host_sync.viewer.pyramid import coarse_levels, finest_rows, level_count, padded_shape
+from host_sync.viewer.cache import coarse_levels, finest_rows, level_count, padded_shape
 
 
 def rippled(shape: tuple[int, int] = (190, 250)) -> np.ndarray:
