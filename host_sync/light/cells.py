@@ -78,8 +78,7 @@ class Cells:
     kept : fraction of its slope that a cell keeps where light shows skin at rest, shape (h, w), see `RestEvidence`;
         None where it shows none
     zero_sigma_px : standard uncertainty of the elevation of the whole field
-    uneven : what `intensity` gained as slopes differ within a cell, shape (N, C), and was corrected for; None for
-        nothing
+    uneven : correction of `intensity` for slopes that differ within a cell, shape (N, C); None for nothing
     arriving : fraction of each channel's light that arrives as frames of single lights show, shape (N, C); None
         without such frames
     """
