@@ -1,8 +1,8 @@
 """Recordings that are a folder of RGB images, such as DIGIT's, GelSlim's, Taxim's raw frames, or numbered images.
 
-Names tell first: background, blank, flat, ref or bg is untouched skin; ball, press, sphere, bead, sample, cal or Im is
-a calibration press. Where they do not, the largest group of numbered images are presses if a ball shows in them, and
-one called frame0 or 0 is untouched skin if it looks like the others do where nothing touches.
+Names tell first: background, blank, flat, ref or bg is untouched skin; cal or calib with a number, or else ball, press,
+sphere, bead, sample or Im, is a calibration press. Where they do not, the largest group of numbered images are presses
+if a ball shows in them, and one called frame0 or 0 is untouched skin if it looks like the others do where nothing touches.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ AT_REST: Final = re.compile(r"(background|blank|flat|ref|reference|bg|untouched)
 FIRST: Final = re.compile(r"(frame|ball|im|image|img)?[-_ ]?0+", re.IGNORECASE)
 """Names that many programs give to the image of untouched skin, and as many to the first press."""
 
-PRESSED: Final = re.compile(r"ball|press|sphere|bead|^sample|^cal[-_ ]?\d|^im[-_ ]?\d", re.IGNORECASE)
+CALIBRATES: Final = re.compile(r"^cal(i|ib|ibration)?[-_ ]?\d", re.IGNORECASE)
+PRESSED: Final = re.compile(r"ball|press|sphere|bead|^sample|^im[-_ ]?\d", re.IGNORECASE)
 MOVIES: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm")
 MIN_GROUP: Final = 3
 COMPARED: Final = 12
@@ -69,7 +70,8 @@ def import_images(source: Path, said: Said) -> Draft:
     files, notes = _of_one_size(found)
     rest = said.reference or next((one for one in files if AT_REST.fullmatch(one.stem)), None)
     frames = [one for one in files if rest is None or one.resolve() != rest.resolve()]
-    pressed = [one for one in frames if PRESSED.search(one.stem)]
+    pressed = [one for one in frames if CALIBRATES.search(one.stem)]
+    pressed = pressed or [one for one in frames if PRESSED.search(one.stem)]
     group = pressed or _largest_group(frames)
     first = next((one for one in frames if FIRST.fullmatch(one.stem)), None) if rest is None else None
     if first is not None and len(group) >= MIN_GROUP:

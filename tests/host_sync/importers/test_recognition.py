@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import shutil
 import sys
 from pathlib import Path
 
@@ -59,6 +60,16 @@ def test_names_of_known_programs_tell_presses_and_untouched_skin(
     sheet = cv2.imread(str(tmp_path / "frameset-balls.png"))
     assert sheet is not None
     assert sheet.std() > 10.0
+
+
+def test_balls_beside_numbered_calibration_frames_are_scans(tmp_path: Path) -> None:
+    put(tmp_path / "background.png")
+    presses(tmp_path, "calib_{}.png")
+    shutil.copyfile(tmp_path / "calib_1.png", tmp_path / "sphere_0.25.png")
+    assert run(tmp_path, *OPTIONS) == 0
+    found = load_frame_set(tmp_path / "frameset.toml")
+    assert names_of(found) == ("background.png", [f"calib_{number}.png" for number in range(1, 8)])
+    assert "sphere_0.25" in [scan.name for scan in found.scans]
 
 
 def test_the_width_of_the_field_states_the_pitch_with_its_uncertainty(tmp_path: Path) -> None:
