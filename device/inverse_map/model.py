@@ -5,7 +5,7 @@ The map is a curve of log intensity, a polynomial with or without waves (see `re
 itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, its place is
 taken by a curve that reads what a matt skin's slopes would be under near lights (see `near_light`); and a further curve
 reads the frame's light, not divided by the reference, another the root of intensity, and the map is the weighted mean
-of all. Each is fitted less what it reads on untouched skin (see `rest_reading`), so that intensity 1 has no slope
+of all. Each is fitted less what it reads on untouched skin (see `branches`), so that intensity 1 has no slope
 anywhere. Where the curves disagree none of them is sure, and the slope weighs less in integration.
 
 Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried

@@ -2,7 +2,7 @@
 
 A blur of standard deviation s takes ½ s² ∇²z from heights, to first order: of a wave of 20 px 1.2 % with s = 0.5 px, of
 one of 10 px 5 %. A pixel's own square has 0.29 px; a lens that suits its pixels makes 0.5 px of it, and more is not
-known: what may be lost beyond that is in the uncertainty (`resolution_uncertainty`). Only the surface with shrunk
+known: what may be lost beyond that is in the uncertainty (`calibration_uncertainty`). Only the surface with shrunk
 detail is corrected, and only of quiet sensors: noise grows by an eighth.
 """
 

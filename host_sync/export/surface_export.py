@@ -184,7 +184,7 @@ FORMATS: Final = {
     "tiff": Format("array_formats:write_float_tiff", suffix="tif"),
     "png": Format("array_formats:write_png16", side_writer="array_formats:write_png_scale", side_suffix="png.json"),
     "npz": Format("array_formats:write_npz"),
-    "csv": Format("csv_profile:write_csv_profile"),
+    "csv": Format("array_formats:write_csv_profile"),
     "ply": Format("mesh:write_ply", is_mesh=True),
     "stl": Format("mesh:write_stl", is_mesh=True, little_room=True),
     "obj": Format("mesh:write_obj", is_mesh=True),

@@ -71,7 +71,7 @@ class Cells:
     intensity : float64 array of shape (N, C), finite
     faithful : bool array of shape (N,), True where the intensity of a cell is known
     start : slopes by the inverse map, float64 array of shape (N, 2)
-    bend : what the mean light of a cell hides of its slope (`bent_cells`), shape (N, 2)
+    bend : what the mean light of a cell hides of its slope (`slopes_hidden_by_means`), shape (N, 2)
     prior_sigma : standard uncertainty of `start` at the elevations that balls showed
     believed : fraction of what elevation changes by the model that `start` is corrected for
     elevation : those elevations, and what others change; None where they do not matter

@@ -1,7 +1,7 @@
 """Heights of successive frames under one calibration: a frame costs its slopes and one weighted integration.
 
 What changes slowly is shared. Frames of one stretch have the light of its first frame. Elevation, hidden lights and
-skin at rest are found on a coarse frame (`coarse`). Working arrays are kept.
+skin at rest are found on a coarse frame (`fine_pass`). Working arrays are kept.
 """
 
 from __future__ import annotations

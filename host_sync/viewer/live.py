@@ -1,7 +1,7 @@
 """A live view: heights of a running source for pages that are open, through a web socket.
 
 A message to the page is the length of a JSON header (four bytes, little endian), the header, and for each level of the
-surface half floats and validity bytes, as `pyramid` describes. The page answers with the number of each picture that it
+surface half floats and validity bytes, as `cache` describes. The page answers with the number of each picture that it
 has drawn, so that at most `AHEAD` pictures are on their way, the newest one is sent, and its age is measured to the
 drawn picture.
 """
