@@ -34,6 +34,7 @@ def without_open_folders(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder, "_READ", os.O_RDONLY)
 
 
+@pytest.mark.slow
 def test_commands_run_with_posix_taken_away(tmp_path: Path) -> None:
     put(tmp_path / "presses" / "ref.png")
     presses(tmp_path / "presses", "sample_{}.png")

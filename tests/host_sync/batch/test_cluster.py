@@ -85,6 +85,7 @@ def test_every_worker_computes_with_one_thread(client: Client, tmp_path: Path) -
     assert dict(outcomes_on_cluster(client, names, Environment(), tmp_path)) == dict.fromkeys(names, "1")
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_bits_of_one_process_though_a_worker_is_killed_in_mid_scan(
     client: Client, library: Library, tmp_path: Path
 ) -> None:

@@ -151,6 +151,7 @@ def test_a_clipped_reference_and_clipped_balls_are_refused(usual: SimulatedScene
         calibrate(presses(clipped), usual.rest, PITCH_UM)
 
 
+@pytest.mark.slow
 def test_contradictory_radii_are_refused_with_what_they_read(usual: SimulatedScene, small_twin: BoardProfile) -> None:
     smaller = shoot(small_twin, radius_mm=2.0)
     mixed = [*usual.balls[::2], *smaller.balls[1::2]]
@@ -175,6 +176,7 @@ def test_only_balls_that_stand_out_of_the_others_contradict_them() -> None:
     assert not contradicts(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3])).any()
 
 
+@pytest.mark.slow
 def test_contacts_that_reach_beyond_the_ball_are_cut_to_their_core(usual: SimulatedScene) -> None:
     flat_field = make_flat_field(usual.rest)
     found = [find_balls(flat_field_correct(frame, flat_field), RADIUS_PX).found[0] for frame in usual.balls]
@@ -260,6 +262,7 @@ def test_a_ball_that_no_frame_can_show_is_refused_by_name(usual: SimulatedScene,
         calibrate(presses(usual.balls, pitch_um), usual.rest, pitch_um)
 
 
+@pytest.mark.slow
 def test_a_grid_measures_the_pitch_and_a_gross_contradiction_is_refused(
     usual: SimulatedScene, small_twin: BoardProfile
 ) -> None:

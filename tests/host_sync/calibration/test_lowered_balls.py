@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 from near_lamps import RADIUS_PX, SHAPE, NearLamps, balls, press_px
 
 from device.balls.sphere import Ball, gather_samples, pixels_inside
@@ -91,6 +92,7 @@ def distant(ball: Ball, apex_px: float, seed: int) -> NormalizedImage:
     return NormalizedImage(values.astype(np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))
 
 
+@pytest.mark.slow
 def test_under_distant_lights_nothing_is_lowered() -> None:
     presses = [
         replace(press, intensity=distant(ball, apex, seed))
@@ -100,6 +102,7 @@ def test_under_distant_lights_nothing_is_lowered() -> None:
     assert rms(presses, lowered.presses) < 0.008
 
 
+@pytest.mark.slow
 def test_light_that_does_not_depend_on_elevation_is_not_lowered() -> None:
     """Its direction changes over the field as that of near lamps, and yet it shows no elevation."""
     presses = located(NEAR, seen_at=0.0)
@@ -115,6 +118,7 @@ def test_lowered_balls_show_slopes_at_what_remains_of_their_elevation() -> None:
     assert found.nearness_per_px == seen.nearness_per_px
 
 
+@pytest.mark.slow
 def test_a_ball_that_the_map_dropped_is_left_as_it_is() -> None:
     presses, fit, _ = near()
     kept = np.arange(len(TRUE)) != 4

@@ -125,6 +125,7 @@ def test_the_second_reconstruction_is_the_first_to_the_last_bit(
         assert (tmp_path / "first" / "ball" / name).read_bytes() == (tmp_path / "second" / "ball" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_papers_model_is_fitted_when_it_is_asked_for(
     frame_set: Path, kept: KeptCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def test_every_figure_is_written_in_every_format(library: Library, tmp_path: Pat
         assert picture.std() > 10.0
 
 
+@pytest.mark.slow
 def test_a_held_out_ball_is_judged_by_both_methods(errors: tuple[BallError, ...]) -> None:
     assert [error.method for error in errors] == ["direct", "paper"]
     direct, paper = (float(error.angle_deg[error.inner].mean()) for error in errors)

@@ -215,6 +215,7 @@ def test_bad_scans_are_named_and_leave_nothing(
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["calibration"]
 
 
+@pytest.mark.slow
 def test_the_papers_method_and_its_detail_filter_can_be_asked_for(frames: Frames, tmp_path: Path) -> None:
     path = frames.copy(tmp_path / "set")
     asked = ["--method", "paper", "--s-filter-um", "100", "--l-filter-um", "1500"]

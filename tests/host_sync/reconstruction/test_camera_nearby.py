@@ -22,7 +22,9 @@ RADIUS_MM = 3.0
 GENTLE, STEEP = 0.1, 0.5
 
 
-@pytest.mark.parametrize(("knows", "least", "most"), [(True, -0.005, 0.008), (False, 0.008, 0.02)])
+@pytest.mark.parametrize(
+    ("knows", "least", "most"), [(True, -0.005, 0.008), pytest.param(False, 0.008, 0.02, marks=pytest.mark.slow)]
+)
 def test_slopes_of_a_raised_ball(
     knows: bool,
     least: float,

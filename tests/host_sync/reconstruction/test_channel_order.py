@@ -20,6 +20,7 @@ from host_sync.library.library import Library
 from host_sync.reconstruction.from_library import LibraryReconstructor
 
 
+@pytest.mark.slow
 def test_frames_that_a_kernel_turned_are_refused_with_a_bundle_and_with_a_file(
     bench: SimulatedScene, store: BundleStore, scan_record: Callable[..., ScanRecord], tmp_path: Path
 ) -> None:

@@ -45,6 +45,7 @@ def drift_checks(found: Reconstruction) -> list[float | None]:
     return [check.value for check in found.frame_checks if check.name == "light drift"]
 
 
+@pytest.mark.slow
 def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) -> None:
     steady, drifted = scan(calibration, np.ones(3)), scan(calibration, DRIFT)
     without = scan(replace(calibration, skin_at_rest=None), DRIFT)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from near_lamps import RADIUS_PX, SHAPE, press_px
 
 from device.balls.sphere import Ball
@@ -17,6 +18,7 @@ PITCH_UM = 20.0
 WIDTH_MM = 1e-3 * PITCH_UM * SHAPE[1]
 
 
+@pytest.mark.slow
 def test_stated_places_make_another_calibration_with_the_same_heights(
     ring_presses: Sequence[PressFrame], ring_calibration: Calibration
 ) -> None:

@@ -16,7 +16,8 @@ from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.reconstruction.pipeline import reconstruct
 
 
-@pytest.mark.parametrize(("pixel_format", "share"), [pytest.param("RGB3", 0.8, marks=pytest.mark.slow), ("MJPG", 0.8)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("pixel_format", "share"), [("RGB3", 0.8), ("MJPG", 0.8)])
 def test_heights_of_a_coin_lie_within_two_sigma(
     bench: SimulatedScene, tmp_path: Path, pixel_format: PixelFormat, share: float
 ) -> None:

@@ -101,6 +101,7 @@ def test_what_is_clicked_is_measured_and_saved(
     assert " ± " in numbers(page, "surface")["Sa"]
 
 
+@pytest.mark.slow
 def test_labels_lie_over_neither_each_other_nor_a_handle(served: Any, visit: Callable[..., Any]) -> None:
     page = visit(served)
     page.wait_for_selector(".card")
@@ -195,6 +196,7 @@ def test_a_bad_recipe_file_is_refused_in_a_sentence(served: Any, visit: Callable
     page.wait_for_selector(".item:has(input[aria-label='Name of kept'])")
 
 
+@pytest.mark.slow
 def test_one_recipe_measures_many_scans_with_their_trend(
     served: Any, visit: Callable[..., Any], tmp_path: Path
 ) -> None:
