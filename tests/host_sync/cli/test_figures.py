@@ -62,12 +62,14 @@ def test_a_held_out_ball_is_judged_by_both_methods(errors: tuple[BallError, ...]
     assert float(errors[0].height_percent[errors[0].inner].mean()) < 2.0
 
 
+@pytest.mark.slow
 def test_both_methods_are_drawn_side_by_side(errors: tuple[BallError, ...]) -> None:
     titles = [axes.get_title() for axes in ball_error_figure(errors).axes if axes.get_title()]
     assert len(titles) == 4
     assert [title.split(":")[0] for title in titles[2:]] == ["normal", "normal"]
 
 
+@pytest.mark.slow
 def test_the_ball_that_is_judged_taught_nothing(drawn: tuple[CalibrationFrames, Calibration]) -> None:
     frames, calibration = drawn
     held = calibration.presses[3].balls[0]

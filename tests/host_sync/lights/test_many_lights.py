@@ -103,7 +103,6 @@ def test_three_lights_take_the_path_of_an_rgb_frame_bit_for_bit() -> None:
         assert one.tobytes() == other.tobytes()
 
 
-@pytest.mark.slow
 def test_a_calibration_of_six_lights_is_read_back_as_it_was_written(six: Calibration) -> None:
     again = from_members(as_members(six), Calibration)
     assert again.lights is not None

@@ -56,6 +56,7 @@ def test_drift_is_taken_out_of_heights_and_reported(calibration: Calibration) ->
     assert not drift_checks(without)
 
 
+@pytest.mark.slow
 def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> None:
     assert calibration.skin_at_rest is not None
     assert calibration.skin_at_rest.gain_sigma == pytest.approx(0.015, rel=0.2)
