@@ -24,19 +24,11 @@ from device.inverse_map.polynomial_features import (
 )
 from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import Leverage
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface.fields import NOISE_KEPT, Float32Array, Float64Array, MaskArray
 from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 PENALTY_STRIDE: Final = 3
-NOISE_KEPT: Final = 0.44
-"""What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
-
-Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.44 of the
-standard deviation (the mean over all frequencies of the product of their transfer functions). So much of it counts when
-forms and penalties are judged.
-"""
-
 PENALTY_TIE: Final = 1.0025
 """Errors that near to the least are alike: of their penalties the smallest is taken, which flattens least."""
 

@@ -18,9 +18,7 @@ import numpy as np
 from device.surface.fields import Float64Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.pixel_pitch import RECTANGLE, PixelPitch
-
-HEIGHT_PER_PITCH: Final = 2.0
-"""Share by which heights change for one share of pixel pitch."""
+from host_sync.results.record import HEIGHT_PER_PITCH
 
 PIXEL_PITCH: Final = "pixel pitch"
 SAME_RADIUS: Final = 0.02

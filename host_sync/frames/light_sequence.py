@@ -6,16 +6,18 @@ With all lights on, a channel also shows what the other lights put into it. Unde
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
-from device.bundles.scan import ScanBundle
 from device.errors import FrameError, RecordError
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
 from device.imaging.frame_light import without_ambient
 from device.surface.fields import Float32Array
+
+if TYPE_CHECKING:
+    from device.bundles.scan import ScanBundle
 
 CHANNELS: Final = 3
 

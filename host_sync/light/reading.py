@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -26,10 +26,12 @@ from host_sync.kernels.cell_rows import (
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.cells import SHADOW_WEIGHT, Cells, CellSlopes
-from host_sync.light.fit import FittedLight
 from host_sync.light.model import ELEVATION, LightModel
 from host_sync.uncertainty.calibration_uncertainty import jackknifed
 from host_sync.uncertainty.elevation import ElevationCorrection
+
+if TYPE_CHECKING:
+    from host_sync.light.fit import FittedLight
 
 SHADOW_SIGMA: Final = 0.12
 """Standard uncertainty of what slopes gain in shadow, as a fraction of it, wrong all at once."""

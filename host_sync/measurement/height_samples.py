@@ -31,8 +31,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.results.reader import ResultSurface
+from host_sync.results.record import HEIGHT_PER_PITCH
 
 TILE_PX: Final = 512
 SMOOTHINGS_PX: Final = (0.5, 0.7, 1.0, 1.4, 2.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import msgspec
@@ -15,7 +15,6 @@ from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.calibration.calibrate import Calibration
 from host_sync.denoising.blur_correction import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
 from host_sync.frame_checks.colour_check import check_datum
@@ -26,6 +25,9 @@ from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.reconstruction.slope_reading import SlopeReading, seen_elevation, seen_slopes
 from host_sync.results.record import FrameCheck, SlopeNoise
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Calibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from device.calibration.candidates import NOISE_KEPT
 from device.imaging.flat_field import LinearFrame
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface.fields import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.denoising.blur_correction import without_blur
-from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.extrapolation import extrapolated
 from host_sync.gradients.surface_slope_kernel import surface_slopes
 from host_sync.integration.integrate import IntegrationReport
@@ -33,6 +31,10 @@ from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck, SlopeNoise
 from host_sync.uncertainty.height_error import nonintegrable_residual, slope_sigma
 from host_sync.uncertainty.lost_detail import lost_variance, with_lost_detail
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Calibration, Method
+    from host_sync.frames.light_sequence import LightSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import msgspec
 import numpy as np
 
 from device.surface.fields import Float32Array, GradientField, HeightMap
-from host_sync.calibration.calibrate import Calibration, Method
-from host_sync.calibration.scale import HEIGHT_PER_PITCH
 from host_sync.integration.zero_level import Datum
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.slope_reading import SlopeReading
+from host_sync.results.record import HEIGHT_PER_PITCH
 from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty, calibration_uncertainty
 from host_sync.uncertainty.height_error import (
     HeightUncertainty,
@@ -22,7 +22,10 @@ from host_sync.uncertainty.height_error import (
     height_uncertainty,
     reduced_size,
 )
-from host_sync.uncertainty.slope_error import SlopeError
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Calibration, Method
+    from host_sync.uncertainty.slope_error import SlopeError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

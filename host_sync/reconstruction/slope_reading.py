@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,10 +14,8 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_c
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frame_checks.level_check import check_light
-from host_sync.frames.light_sequence import LightSequence
 from host_sync.gradients.even_confidence import even_confidence
 from host_sync.gradients.extrapolation import strange_blocks
 from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity
@@ -28,6 +26,10 @@ from host_sync.kernels.parallel_rows import BackgroundCall, parallel_rows
 from host_sync.light.reading import CellCorrection, correct_slopes
 from host_sync.lights.light_groups import CHANNELS, in_group, joined
 from host_sync.results.record import FrameCheck, refusals
+
+if TYPE_CHECKING:
+    from host_sync.calibration.calibrate import Calibration, Method
+    from host_sync.frames.light_sequence import LightSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -98,6 +98,10 @@ PupilHeight = Annotated[float, msgspec.Meta(gt=0.0)]
 RecordT = TypeVar("RecordT", bound=msgspec.Struct)
 
 
+HEIGHT_PER_PITCH: Final = 2.0
+"""Share by which heights change for one share of pixel pitch."""
+
+
 class HeightScale(msgspec.Struct, frozen=True):
     """Standard uncertainties of the scale; None is not measured. The samples of the height contain the measured parts.
 

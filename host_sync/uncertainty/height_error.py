@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
-from device.calibration.candidates import NOISE_KEPT
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface.fields import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
 from device.surface.poisson_dct import integrate_dct
 from host_sync.integration.zero_level import Datum, block_medians
 from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, local_normals, shared_and_local
@@ -28,7 +27,9 @@ from host_sync.uncertainty.kernels import (
     squared_tilt,
     with_scale,
 )
-from host_sync.uncertainty.slope_error import SlopeError
+
+if TYPE_CHECKING:
+    from host_sync.uncertainty.slope_error import SlopeError
 
 WIDEST_PX: Final = 512
 """Draws are integrated at this size at most: long wavelengths carry nearly all of the height error."""
