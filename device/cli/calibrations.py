@@ -1,4 +1,4 @@
-"""`retroscan gel` and `retroscan calibrations`: the mounted gel, and the calibrations made for each gel."""
+"""`retroscan gel`, `calibrations` and lists: the mounted gel, and the calibrations made for each gel."""
 
 from __future__ import annotations
 

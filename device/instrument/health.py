@@ -1,4 +1,4 @@
-"""Health of lights, skin and gel: the schedule of baseline checks, and the figures that the front end shows."""
+"""Health of lights, skin and gel: baseline checks, alarms, and the figures that the front end shows."""
 
 from __future__ import annotations
 

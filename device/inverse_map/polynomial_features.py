@@ -1,4 +1,4 @@
-"""Monomials of colour and of place in the field: the terms that the inverse map is made of."""
+"""Terms of the inverse map: monomials of colour and of place in the field, cosines of colour, and their scaling."""
 
 from __future__ import annotations
 

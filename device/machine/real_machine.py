@@ -1,4 +1,4 @@
-"""The machine that the program runs on."""
+"""The machine that the program runs on, and its panel's backlight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check of the balls' stated radii: shading shows their sizes relative to one another.
+"""Radii of the balls by their shading, and the balls at the centres that the inverse map is fitted to.
 
 A map from intensity to slope trained on many balls reads every ball. A ball that is smaller than stated is steeper at
 each place than its stated radius makes it: the map reads its slopes by that share too steep. The common size of all

@@ -1,4 +1,4 @@
-"""Inputs of a calibration: a frame set, or a calibration bundle of a handheld."""
+"""Inputs of a calibration, a frame set or a bundle of a handheld, and the calibrations made of them before."""
 
 from __future__ import annotations
 

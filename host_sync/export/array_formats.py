@@ -1,4 +1,4 @@
-"""Formats of a height map as an array: float TIFF, NumPy archive and 16-bit PNG.
+"""Formats of a height map as an array: float TIFF, NumPy archive, 16-bit PNG; and its profile as CSV.
 
 TIFF: page 1 the height in µm, page 2 its standard uncertainty; float32, not compressed, NaN where invalid.
 

@@ -1,4 +1,4 @@
-"""Form removal by least squares on the valid pixels: mean, plane, polynomial (F-operator of ISO 25178-3).
+"""Form removal by least squares on the valid pixels (F-operator of ISO 25178-3), and the filter of detail.
 
 A polynomial of degree n has the terms column^i row^j with i + j <= n. Its normal equations are sums over rows and
 columns in the form of matrix products, a fraction of a second for 12 megapixels; the matrix depends on the mask only

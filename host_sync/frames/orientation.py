@@ -1,4 +1,4 @@
-"""Images that are stored turned or mirrored, as a mark in their header says (TIFF, EXIF), brought upright."""
+"""Images brought upright that are stored turned or mirrored (TIFF, EXIF), and to square pixels."""
 
 from __future__ import annotations
 

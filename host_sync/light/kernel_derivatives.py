@@ -1,4 +1,4 @@
-"""Derivatives of the light of sources by their places and by the coat: of what `kernels.write_light` writes."""
+"""Numbers of a light model, and derivatives of what `kernels.write_light` writes by places of sources and coat."""
 
 from __future__ import annotations
 

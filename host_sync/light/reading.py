@@ -1,4 +1,4 @@
-"""Slopes of a frame by the light model: what the inverse map's slopes gain over cells."""
+"""Slopes of a frame by the light model: what those of the inverse map gain over cells, and over a raised field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A verified copy of a library's bundles on another disk or an SFTP server: only what is missing is copied."""
+"""A verified copy of a library's bundles elsewhere, with only what is missing copied, and repair from such copies."""
 
 from __future__ import annotations
 

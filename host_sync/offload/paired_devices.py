@@ -1,4 +1,4 @@
-"""Devices that this workstation is paired with, and its own key: small files that only their owner can read.
+"""Devices on the network, those that are paired, and the own key: small files that only their owner can read.
 
 <folder>/id_ed25519  <folder>/devices/<device id>.json  <folder>/synced/<device id>.json
 """

@@ -1,4 +1,4 @@
-"""A pose of one height map relative to another, and the second map seen at the pixels of the first."""
+"""Poses of one height map relative to another, where their search starts, and the second map at pixels of the first."""
 
 from __future__ import annotations
 

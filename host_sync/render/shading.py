@@ -1,4 +1,4 @@
-"""Shading of a height map under one light, coloured by height, with cast shadows and ambient occlusion."""
+"""Shading of a height map under one light, with cast shadows and ambient occlusion, and its colours by height."""
 
 from __future__ import annotations
 

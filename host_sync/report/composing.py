@@ -1,4 +1,4 @@
-"""Composes the report of a measurement: quantities, uncertainties, calibration and provenance."""
+"""Report of a measurement: quantities, uncertainties, calibration and provenance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""At which elevation the balls showed each slope, and what it does when an object shows it at another.
+"""Elevation at which balls showed each slope, change of slopes at another one, and height of lights.
 
 Lights that stand near look steeper to skin that is raised towards them: over a plane the direction of a light at the
 height h is proportional to 1 / (h - z). A ball shows its gentle slopes high up and its steep ones lower; an object that

@@ -1,4 +1,4 @@
-"""Passes over every pixel of a frame that is not coarse: few of them, for memory bounds their time."""
+"""Coarse frames, and passes over every pixel of the others: few of them, for memory bounds their time."""
 
 from __future__ import annotations
 

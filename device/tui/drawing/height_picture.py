@@ -1,4 +1,4 @@
-"""The picture of a height map: relief, height scale in µm, length bar, and the profile at a cursor."""
+"""Pictures of camera frames and of height maps: relief, height scale in µm, length bar, and the profile at a cursor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Common part of every screen: navigation, a body, the last notice, the instrument's state, and the keys."""
+"""Common part of every screen: themes, navigation, a body, the last notice, the instrument's state, and the keys."""
 
 from __future__ import annotations
 
