@@ -84,7 +84,7 @@ SIDES: Final = 3
 _DOWN: Final = ("upper", "middle", "lower")
 _ACROSS: Final = ("left", "centre", "right")
 DIRECTIONS: Final = ("right", "lower right", "down", "lower left", "left", "upper left", "up", "upper right")
-"""Where the surface falls to, clockwise as the frame is seen."""
+"""Directions in which the surface falls, clockwise as the frame is seen."""
 
 
 def _sector(down: int, across: int) -> str:

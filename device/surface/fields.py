@@ -26,7 +26,7 @@ MIN_FOURTH_ORDER: Final = 4
 """Pixels that a line must exceed for differences of fourth order."""
 
 NOISE_KEPT: Final = 0.44
-"""What integration and central differences leave of a pixel's slope noise: the rest belongs to no surface.
+"""Share of a pixel's slope noise that integration and central differences leave: the rest belongs to no surface.
 
 Of white noise the fourth-order edges, least squares and the central difference of the height map let pass 0.44 of the
 standard deviation (the mean over all frequencies of the product of their transfer functions). So much of it counts when

@@ -161,9 +161,9 @@ def _gradient(pose: GridPose, places: Float64Array) -> Float64Array:
 
 # Pose of a ball grid before the camera: turned and scaled, sheared, in perspective, bent by the lens.
 #
-# What the data support is asked of balls that the fit did not see. From the simplest pose on, a richer one is taken
-# when it predicts held-out balls better by more than that gain's own standard error: a lens that bends by less than the
-# balls can tell is left straight.
+# Balls that the fit did not see decide how rich a pose the data support. From the simplest pose on, a richer one is
+# taken when it predicts held-out balls better by more than that gain's own standard error: a lens that bends by less
+# than that is left straight.
 
 PoseName = Literal["similarity", "affine", "homography"]
 FOLDS: Final = 10

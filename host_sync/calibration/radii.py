@@ -232,7 +232,7 @@ WORTH_MORE_BALLS: Final = 1.1
 """Balls that no label has are tried when there are so many times as many with them."""
 
 MORE_BALLS_GAIN: Final = 0.95
-"""Their held-out error counts as so much smaller: more balls show more of the field than the labelled ones can tell."""
+"""Their held-out error counts as so much smaller: more balls cover more of the field than the labelled ones do."""
 
 CORE_KEPT: Final = 0.9
 """So many of the balls that train without a cut must train with it: an error that is small because balls are left out

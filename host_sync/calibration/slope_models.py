@@ -268,7 +268,7 @@ MAX_CELLS: Final = 40_000
 """A press is reduced to so many cells at most."""
 
 MIN_CELLS: Final = 12
-"""Cells of a press around a node that tell its slope."""
+"""Cells of a press around a node that determine its slope."""
 
 MIN_PRESSES: Final = 4
 MEDIAN_VARIANCE: Final = 1.5

@@ -109,10 +109,10 @@ SIGNIFICANT: Final = 6.0
 """Standard deviations from which a correlation peak is one; chance stays under five over all shifts searched."""
 
 CLEAR: Final = 8.0
-"""Presses that show the pattern by so many tell how far skin moves."""
+"""Presses that show the pattern by so many determine how far skin moves."""
 
 IDENTIFIABLE: Final = 12.0
-"""Where every press of the calibration shows the pattern by so many, a frame without it is not of this skin."""
+"""A frame without the pattern is not of this skin, if every press of the calibration shows it by so many."""
 
 MIN_TOLERANCE_PX: Final = 2.0
 TOLERANCE_OF_WIDTH: Final = 0.002

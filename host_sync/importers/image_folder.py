@@ -1,8 +1,9 @@
 """Recordings that are a folder of RGB images, such as DIGIT's, GelSlim's, Taxim's raw frames, or numbered images.
 
-Names tell first: background, blank, flat, ref or bg is untouched skin; cal or calib with a number, or else ball, press,
-sphere, bead, sample or Im, is a calibration press. Where they do not, the largest group of numbered images are presses
-if a ball shows in them, and one called frame0 or 0 is untouched skin if it looks like the others where nothing touches.
+Names decide first: background, blank, flat, ref or bg is untouched skin; cal or calib with a number, or else ball,
+press, sphere, bead, sample or Im, is a calibration press. Where they do not, the largest group of numbered images are
+presses if a ball shows in them, and one called frame0 or 0 is untouched skin if it looks like the others where nothing
+touches.
 """
 
 from __future__ import annotations

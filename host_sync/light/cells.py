@@ -193,15 +193,10 @@ class Cells:
             variance += square * (doubt * gain) ** 2
         return np.asarray(1.0 / variance)
 
-    def _misread(
-        self, found: CellSlopes, visible: Float64Array, incoming: Float64Array
-    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+    def _misread(self, found: CellSlopes) -> tuple[Float64Array, Float64Array]:
         """Return by how much `start` is off at other elevations than 0 and under other light around than balls have.
 
-        Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show. The third, of shape
-        (N,), is how much of a cell's light is hidden.
-
-        visible, incoming : see `CellSlopes`, over its elevations
+        Two arrays of shape (N, 2): as the model predicts it, and what of it the balls did not show.
         """
         model, here = self.model, self.active
         square = np.square(found.slope[here]).sum(axis=1)
@@ -210,21 +205,17 @@ class Cells:
             shown = self.elevation.trained_px(square.astype(np.float32)) / model.shape[1]
         x, y, z = (part[here] for part in self.places(found.z_px))
         p, q = found.slope[here].T
-        rest, open_share = self.rest[here], visible[here]
-        change = found.change[here]
+        rest, change = self.rest[here], found.change[here]
         weighted = change * found.weight[here][..., None]
         system = np.swapaxes(weighted, 1, 2) @ change + np.eye(2) / self.prior_sigma**2
-        around = model.albedo * (incoming[here] - _light_of_floor(square)[:, None])
-        light = model.light(p, q, x, y, z) * open_share
+        around = model.albedo * (found.incoming[here] - _light_of_floor(square)[:, None])
+        light = model.light(p, q, x, y, z) * found.visible[here]
         slopes = np.zeros((2, *found.slope.shape))
         for number, below in enumerate((np.zeros_like(x), shown)):
             less = (light - model.light(p, q, x, y, below)) @ model.strengths.T / rest + around
             gradient = np.einsum("ncj,nc->nj", weighted, less)
             slopes[number, here] = np.linalg.solve(system, gradient[..., None])[..., 0]
-        dark = ((self.rest_light[here] * (1.0 - open_share)) @ model.strengths.T / rest).max(axis=1)
-        shadow = np.zeros(len(found.slope))
-        shadow[here] = np.clip(dark / IN_SHADOW, 0.0, 1.0)
-        return slopes[0], slopes[1], shadow
+        return slopes[0], slopes[1]
 
     def _with_heights(self, found: CellSlopes, solver: Integrator, elevation_px: float | None = None) -> CellSlopes:
         """Return heights of the slopes, and what arrives of the light over them.
@@ -251,13 +242,13 @@ class Cells:
             visible = np.minimum(visible, self.arriving[:, model.strengths.argmax(axis=0)])
         shown = (self.intensity * self.rest).reshape(*size, -1)
         incoming = incoming_light(shown, p, q, z_px / np.float32(self.cell), SCAN_CELLS).reshape(self.rest.shape)
-        incoming /= self.rest
-        found = replace(found, z_px=z_px)
-        misread, unseen, shadow = self._misread(found, visible, incoming)
-        return replace(
-            found, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming, shadow=shadow,
-            misread=misread, unseen=unseen,
+        dark = ((self.rest_light * (1.0 - visible)) @ model.strengths.T / self.rest).max(axis=1)
+        found = replace(
+            found, z_px=z_px, surface=surface, visible=np.ascontiguousarray(visible), incoming=incoming / self.rest,
+            shadow=np.where(active.ravel(), np.clip(dark / IN_SHADOW, 0.0, 1.0), 0.0),
         )  # fmt: skip
+        misread, unseen = self._misread(found)
+        return replace(found, misread=misread, unseen=unseen)
 
     def _shift_px(self, height: HeightMap, field: GradientField, elevation_px: float | None) -> float:
         """Return what heights gain for skin at rest, or for their median, to have a given elevation."""

@@ -206,7 +206,7 @@ def _disagreement(matt: MattLights, frame: LinearFrame, flat_field: Float32Array
 # what the others predict. A light that is hidden or mirrored is found that way.
 
 NEEDED: Final = 3
-"""Lights that tell brightness and both slopes; of more, one can be left out."""
+"""Lights that brightness and both slopes need; of more, one can be left out."""
 
 NEAR_DEGREE: Final = 2
 FAR_DEGREE: Final = 0
