@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Final
 
-from hal.board_profile import BoardProfile
+from hal.board_profile import BoardProfile, LightDriverConfig
 from tests.drawings.board.netlist import Pin, netlist
 from tests.drawings.board.wiring import FIVE_VOLT, Wiring
 
@@ -30,6 +30,11 @@ OUTPUT_DROP_V: Final = 0.8
 MAX_HEAT_W: Final = 0.6
 GPIO_MA: Final = 8.0
 LED_SUPPLY_MA: Final = 500.0
+
+
+def largest_ma(driver: LightDriverConfig) -> float:
+    """Current that the reference resistor lets through each channel, at most."""
+    return FULL_SCALE_VOLT_PER_OHM[driver.chip] / driver.reference_ohm * 1e3
 
 
 def complaints(profile: BoardProfile, wiring: Wiring) -> list[str]:
@@ -80,16 +85,16 @@ def _currents(profile: BoardProfile, wiring: Wiring, nets: dict[str, tuple[Pin, 
     ohms = {pin.value for pins in nets.values() for pin in pins if pin.part == reference}
     if ohms != {driver.reference_ohm}:
         yield f"REXT: {ohms} ohm are wired, the profile says {driver.reference_ohm:g}"
-    largest_ma = FULL_SCALE_VOLT_PER_OHM[driver.chip] / driver.reference_ohm * 1e3
+    most_ma = largest_ma(driver)
     allowed_ma = min(light.max_ma or 0.0 for light in profile.lights)
-    if largest_ma > allowed_ma:
-        yield f"{driver.chip}: lets {largest_ma:.1f} mA through, LEDs carry {allowed_ma:g} mA"
+    if most_ma > allowed_ma:
+        yield f"{driver.chip}: lets {most_ma:.1f} mA through, LEDs carry {allowed_ma:g} mA"
     heat_w, drawn_ma = 0.0, 0.0
     for led in wiring.leds:
         low, high = FORWARD_VOLTS[led.colour]
         if high + OUTPUT_DROP_V > WEAKEST_SUPPLY_V:
             yield f"{led.light}: {high:g} V of the LED leave too little for the driver's output"
-        ma = largest_ma if led.light != "indicator" else led.current_ma
+        ma = most_ma if led.light != "indicator" else led.current_ma
         drawn_ma += ma * len(led.channels)
         heat_w += 1e-3 * ma * len(led.channels) * (VOLTS["5V"] - low)
     if heat_w > MAX_HEAT_W:

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from hal.board_profile import load_board_profile
+from tests.drawings.board.electrical_rules import largest_ma
 from tests.drawings.board.wiring import wiring
 
 CAMERA_MA: Final = 250.0
@@ -50,9 +52,11 @@ def live_ma(board: str) -> float:
 
 
 def peak_ma(board: str) -> float:
-    """Current while a scan is worked out, with a panel where there may be one."""
-    supply = SUPPLIES[board]
-    return live_ma(board) - supply.active_ma + supply.busy_ma + (PANEL_MA if supply.takes_panel else 0.0)
+    """Current while a scan is worked out: every light at its driver's limit, with a panel where there may be one."""
+    supply, profile = SUPPLIES[board], load_board_profile(board)
+    assert profile.light_driver is not None
+    lights_ma = largest_ma(profile.light_driver) * sum(len(light.channels) for light in profile.lights)
+    return supply.busy_ma + CAMERA_MA + lights_ma + (PANEL_MA if supply.takes_panel else 0.0)
 
 
 def power_table() -> Iterator[str]:
