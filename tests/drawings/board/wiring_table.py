@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import groupby
 
 from tests.drawings.board.wiring import Wiring
 
@@ -19,19 +20,18 @@ def _lines(wiring: Wiring) -> Iterator[str]:
     yield ""
     yield f"![Drawing]({wiring.board}.svg)"
     yield ""
-    yield (
-        f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too. A test runs "
-        "electrical rules on it: one driver a net, no floating pin, pulls, levels, currents, heat."
-    )
+    yield f"[Net list]({wiring.board}.nets.csv): every connection, chips' own pins and resistors too; a test judges it."
     yield ""
     yield "Odd pins are the row nearer to the board's middle; pin 1 is the one at the end without USB ports."
     yield ""
     yield "| used for | name | odd | even | name | used for |"
     yield "|---|---|---|---|---|---|"
-    for odd in range(1, 41, 2):
-        left, right = _use(wiring, odd), _use(wiring, odd + 1)
-        yield f"| {left} | {wiring.header[odd - 1]} | {odd} | {odd + 1} | {wiring.header[odd]} | {right} |"
-
+    for is_used, rows in groupby(range(1, 41, 2), lambda odd: bool(_use(wiring, odd) or _use(wiring, odd + 1))):
+        odds = list(rows)
+        if is_used or len(odds) == 1:
+            yield from (_row(wiring, odd) for odd in odds)
+        else:
+            yield f"| free | | {odds[0]}–{odds[-1]} | {odds[0] + 1}–{odds[-1] + 1} | | free |"
     yield ""
     yield "| LEDs | channels, one LED each | current in each |"
     yield "|---|---|---|"
@@ -43,6 +43,11 @@ def _lines(wiring: Wiring) -> Iterator[str]:
     yield ""
     for part, ties in wiring.parts:
         yield f"- **{part}**: {'; '.join(ties)}."
+
+
+def _row(wiring: Wiring, odd: int) -> str:
+    left, right = _use(wiring, odd), _use(wiring, odd + 1)
+    return f"| {left} | {wiring.header[odd - 1]} | {odd} | {odd + 1} | {wiring.header[odd]} | {right} |"
 
 
 def _use(wiring: Wiring, pin: int) -> str:
