@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from hal.board_profile import load_board_profile
 
@@ -182,6 +183,21 @@ def test_small_parts_are_one_closed_body(part: str, tmp_path: Path) -> None:
     closed_body(part, tmp_path)
 
 
+@needs_openscad
+def test_the_leds_of_a_sleeve_stand_in_one_slot_behind_their_lips(tmp_path: Path) -> None:
+    """A wall between their bores would be a tenth of a millimetre thick."""
+    assert openscad(tmp_path / "part.stl", 'part="led_holder"').returncode == 0
+    led, lip, behind = parameter("led")[0], parameter("led_lip")[0], parameter("distance")[0] - parameter("facet_at")[0]
+    pitch, outer_r = led + 0.1, parameter("inner_r")[0] + parameter("wall")[0]
+    steepness = math.cos(math.radians(parameter("elevation")[0])) * parameter("n_gel")[0] / parameter("n_block")[0]
+    length = (outer_r + 3) / steepness - parameter("facet_at")[0] + 1
+    bores = 2 * math.pi * (led / 2 - lip) ** 2 * behind
+    slot = (math.pi * (led / 2) ** 2 + led * pitch) * (length - behind)
+    screws = 2 * math.pi * (parameter("m2_tapped")[0] / 2) ** 2 * 6
+    whole = math.pi * ((pitch + led) / 2 + 1.6) ** 2 * length
+    assert trimesh.load_mesh(tmp_path / "part.stl").volume == pytest.approx(whole - bores - slot - screws, rel=0.005)
+
+
 @pytest.mark.slow
 @needs_openscad
 @pytest.mark.parametrize("part", sorted(set(PARTS) - set(QUICK) - {"assembly"}))
@@ -205,6 +221,7 @@ def test_large_parts_are_one_closed_body(part: str, tmp_path: Path) -> None:
         ("strap_at=60", "the strap lies on the button"),
         ("strap_at=85", "the strap lies on the tray's upper lug"),
         ("light_board_holes=12", "break out of the sleeve"),
+        ("led_lip=0.3", "the wall between two lips is thinner than two lines of a printer"),
         ("ball_pitch=1.5", "the balls stand too near"),
         ("ball_stands_out=1.2", "they fall out"),
         ('part="lid"', "there is no part lid"),
