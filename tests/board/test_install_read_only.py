@@ -191,6 +191,13 @@ def live(fresh: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProce
     return run
 
 
+def test_every_initramfs_is_asked_for_the_overlay_and_checked(fresh: Path, run: Run) -> None:
+    install(run, fresh, *BOARD)
+    named = (fresh / "usr/share/initramfs-tools/modules.d/retrograph").read_text().splitlines()
+    assert [line for line in named if not line.startswith("#")] == ["overlay"]
+    assert os.access(fresh / "etc/initramfs/post-update.d/zz-retrograph", os.X_OK)
+
+
 WHOLE = "scripts/init-bottom/overlayroot usr/lib/modules/6.12/kernel/fs/overlayfs/overlay.ko.xz"
 
 

@@ -229,6 +229,24 @@ def test_the_pins_that_the_pages_name_are_those_of_the_wiring() -> None:
     assert {int(pin) for pair in named for pin in pair if pin} <= set(pins.values())
 
 
+def test_camera_and_panel_of_a_pi_5_have_a_connector_each() -> None:
+    """A camera's overlay without an option means CAM/DISP 1."""
+    assert "CAM/DISP 1" in row("camera cable")
+    assert "CAM/DISP 0" in row("panel")
+    (panel,) = (ties for part, ties in wiring("pi5-imx296").parts if part == "panel")
+    assert "CAM/DISP 0" in panel[0]
+
+
+def test_what_the_pages_measure_and_work_with_is_on_the_list_of_tools() -> None:
+    tools = re.search(r"^\*\*Tools\*\*:.*?\n\n", BILL, re.MULTILINE | re.DOTALL)
+    assert tools
+    names = "multimeter|oscilloscope|USB meter|feeler|stage micrometer|airbrush|vacuum|serial|10 Ω|file|drill"
+    for place in ("bench-checklist.md", "calibration-cap.md", "gel.md", "enclosure/README.md"):
+        page = (BOARD / place).read_text(encoding="utf-8")
+        for used in set(re.findall(rf"\b({names})\b", page, re.IGNORECASE)):
+            assert used.lower() in tools[0].lower(), f"{place}: {used}"
+
+
 @pytest.mark.parametrize("board", ["pi5-imx296", "pi4-imx477"])
 def test_what_a_handheld_weighs_is_of_rows_of_its_bill(board: str) -> None:
     bought = [what for what, _ in rows_of(board, BILL)]

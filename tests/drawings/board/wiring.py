@@ -100,7 +100,7 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
     if profile.indicator and profile.indicator.line is not None:
         parts.append(("indicator", (f"LED and {facts['indicator']['series_ohm']} ohm in series, to ground",)))
     if profile.name in facts["panel"]["boards"]:
-        parts.append(("panel", ("5 V of a DSI panel; may stay open",)))
+        parts.append(("panel", ("5 V of a DSI panel, its ribbon on a Pi 5 to CAM/DISP 0; may stay open",)))
     if profile.name in facts["supply"]["boards"]:
         parts.append(("supply", ("feeds the board (bill of materials); stays open when its USB port does",)))
     parts.append(("power-fail", ("open drain of the supply, else by a diode (bill of materials); may stay open",)))
