@@ -28,6 +28,10 @@ DOUBTED: Final = 3.0
 """Standard uncertainties up to which a level is none."""
 
 
+ROWS_AT_ONCE: Final = 16
+"""Rows that stay in the processor's memory while a frame's light is taken out."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLight:
     """Light of a frame against that of the calibration.
@@ -59,11 +63,19 @@ class FrameLight:
 
         values, flat_field : float32 arrays of shape (H, W, 3)
         """
-        rows = slice(first, last)
-        dark = np.maximum(flat_field[rows], np.float32(DARK_FLOOR))
-        np.divide(self.offsets.astype(np.float32), dark, out=dark)
-        values[rows] -= dark
-        values[rows] *= (1.0 / self.gains).astype(np.float32)
+        if self.change == 0.0 and self.stray == 0.0:
+            return
+        # One value a column and channel: a loop over three channels alone takes four times the time.
+        columns = (values.shape[1], 1)
+        offsets = np.tile(self.offsets.astype(np.float32), columns)
+        per_gain = np.tile((1.0 / self.gains).astype(np.float32), columns)
+        rows = range(*slice(first, last).indices(len(values)))
+        for start in rows[::ROWS_AT_ONCE]:
+            part = slice(start, min(start + ROWS_AT_ONCE, rows.stop))
+            dark = np.maximum(flat_field[part], np.float32(DARK_FLOOR))
+            np.divide(offsets, dark, out=dark)
+            values[part] -= dark
+            values[part] *= per_gain
 
 
 def certain_levels(

@@ -146,7 +146,6 @@ class SimulatedScene:
         self.seed = seed
         self.faults = Faults()
         self.twin: TwinConfig = profile.twin
-        self._render = lru_cache(maxsize=4)(lambda press: render(profile, press))
         self._pressed: Timeline[Press | None] = Timeline(clock.monotonic_ns(), None)
         self._driven: Timeline[dict[str, float]] = Timeline(clock.monotonic_ns(), {})
         self._button: list[ButtonPress] = []
@@ -221,12 +220,21 @@ class SimulatedScene:
         press, wobble_mm = self._pressed.value_at(at_ns), self.faults.wobble_mm
         if press and wobble_mm and at_ns // WOBBLE_NS % 2:
             press = replace(press, centre_mm=(press.centre_mm[0] + wobble_mm, press.centre_mm[1]))
-        return self._render(press)
+        return rendered(self.profile, press)
 
     def _dose_ma_ms(self, light: str, began_ns: int, ended_ns: int) -> float:
         """Return the current times duration (mA ms) of one light within an exposure, including changes during it."""
         spans = self._driven.spans(began_ns, ended_ns)
         return sum(currents.get(light, 0.0) * overlap_ns * 1e-6 for overlap_ns, currents in spans)
+
+
+@lru_cache(maxsize=8)
+def rendered(profile: BoardProfile, press: Press | None) -> Scene:
+    """Return the scene of a press, which all worlds of that profile share: its arrays cannot be written to."""
+    scene = render(profile, press)
+    for array in (scene.skin.height_mm, scene.skin.contact, *scene.charge_e):
+        array.setflags(write=False)
+    return scene
 
 
 @lru_cache(maxsize=1)

@@ -177,8 +177,7 @@ def _reconstruct_frame_set(
     )
     outcomes = [ScanOutcome(name, out / name, doubts) for name, doubts in done.items()]
     outcomes += [ScanOutcome(failure.name, reason=failure.reason) for failure in failures]
-    for outcome in sorted(outcomes, key=lambda one: one.reason is None):
-        _print_errors(outcome)
+    print_outcomes(outcomes)
     if order.facts is None:
         print_line(f"{len(done)} of {len(outcomes)} scans reconstructed into {out}")
     return outcomes
@@ -232,20 +231,28 @@ def _reconstruct_scans(
             failed.append(outcome)
             continue
         done.append(outcome)
-        _print_errors(outcome)
         if order.facts is None:
             print_line(str(outcome.folder))
     done.sort(key=lambda one: one.scan)
-    for outcome in failed:
-        _print_errors(outcome)
+    print_outcomes([*failed, *done])
     return [*done, *failed]
 
 
-def _print_errors(outcome: ScanOutcome) -> None:
-    if outcome.reason is not None:
-        print_error(f"{outcome.scan}: {outcome.reason}", PARTLY)
-    for words in outcome.warnings:
-        print_error(f"{outcome.scan}: doubt: {words}", PARTLY)
+NAMED_SCANS: Final = 3
+"""Scans of one doubt that are named; more are counted."""
+
+
+def print_outcomes(outcomes: Sequence[ScanOutcome]) -> None:
+    """Print why scans failed, then every doubt once, with its scans."""
+    scans_of: dict[str, list[str]] = {}
+    for outcome in outcomes:
+        if outcome.reason is not None:
+            print_error(f"{outcome.scan}: {outcome.reason}", PARTLY)
+        for words in outcome.warnings:
+            scans_of.setdefault(words, []).append(outcome.scan)
+    for words, scans in scans_of.items():
+        named = ", ".join(scans) if len(scans) <= NAMED_SCANS else f"{len(scans)} of {len(outcomes)} scans"
+        print_error(f"{named}: doubt: {words}", PARTLY)
 
 
 def paper_figures(

@@ -51,8 +51,9 @@ class FrameSpec:
 
     @property
     def name(self) -> str:
-        """Path of the first image, for messages."""
-        return str(self.images[0])
+        """Path of the first image, for messages: without the steps back that a frame set in another folder needs."""
+        first = self.images[0]
+        return str(first.resolve() if ".." in first.parts else first)
 
 
 @dataclass(frozen=True, slots=True)

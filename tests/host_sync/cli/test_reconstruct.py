@@ -28,7 +28,9 @@ from hal.hardware import Hardware
 from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
+from host_sync.batch.library_batch import ScanOutcome
 from host_sync.cli.main import main, run
+from host_sync.cli.reconstruct import print_outcomes
 from host_sync.cli.verify import reproduce_results
 from host_sync.evaluation.reprocess import compare
 from host_sync.library.library import Library
@@ -417,3 +419,14 @@ def test_a_frame_that_was_turned_is_refused_or_kept_with_its_warning(
     assert main([*command, "--force"]) == 0
     record = json.loads((out / "sphere" / "result.json").read_text())
     assert "turned by 180 degrees" in record["warnings"][0]
+
+
+def test_a_doubt_of_many_scans_stands_once(capsys: pytest.CaptureFixture[str]) -> None:
+    outcomes = [ScanOutcome(f"scan-{number}", Path(), ("failed calibration",)) for number in range(4)]
+    outcomes += [ScanOutcome("scan-4", Path(), ("no zero",)), ScanOutcome("scan-5", reason="it is blurred")]
+    print_outcomes(outcomes)
+    assert capsys.readouterr().err.splitlines() == [
+        "retrosync: scan-5: it is blurred",
+        "retrosync: 4 of 6 scans: doubt: failed calibration",
+        "retrosync: scan-4: doubt: no zero",
+    ]
