@@ -36,14 +36,16 @@ LONGEST_FIRST = ("test_house.py", "host_sync", "device", "board", "", "hal")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the folders whose tests take longest; two processes take files of other halves of them.
+    """Begin with the folders whose tests take longest; processes take files from different parts of them.
 
-    Neighbouring files share calibrations and kernels, which the second process would only wait for.
+    Neighbouring files share calibrations and kernels, which another process would only wait for. One process keeps the
+    order of files, which the tests of the virtual board need.
     """
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     items.sort(key=_turn)
     files = list(dict.fromkeys(item.path for item in items))
-    half = -(-len(files) // 2)
-    turn = {path: 2 * (number % half) + number // half for number, path in enumerate(files)}
+    part = -(-len(files) // processes)
+    turn = {path: number % part * processes + number // part for number, path in enumerate(files)}
     items.sort(key=lambda item: turn[item.path])
 
 
