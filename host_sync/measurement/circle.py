@@ -36,6 +36,10 @@ MAX_STEP_SPREAD: Final = 0.35
 MAX_OFF_SHARE: Final = 0.06
 """Largest median distance of the places from the circle, radii: edges that lie anywhere on their rays have 0.2."""
 
+MIN_EDGE: Final = 0.02
+"""Least share of the rays' variance that an edge leaves over a polynomial of the second degree; a sharp one leaves a
+quarter, a flank over half of the rays a twentieth."""
+
 OTHER_LEVELS: Final = (0.4, 0.6)
 """Levels that might be called the edge as well as half way: what they change is an uncertainty of the definition."""
 
@@ -116,6 +120,8 @@ def _once(
     )
     if known.sum() < MIN_RAYS or np.nanmedian(np.abs(step - usual)) > max_spread * abs(usual) or usual == 0.0:
         raise MeasurementError(problem)
+    if _is_bent_plane(along[None, :, None] * way[known, None], heights[known], radius_um):
+        raise MeasurementError(problem)
     seen_um = centre + edge[known, None] * way[known]
     column, row, radius, weight = _fitted(seen_um)
     if not 0.0 < radius < np.inf or weight.sum() == 0.0:
@@ -128,6 +134,20 @@ def _once(
     column, row, radius, weight = _fitted(skin_um)
     kept = np.hypot(*(skin_um - (column, row)).T)[weight > 0.0]
     return Circle(grid, column, row, radius, float(np.ptp(kept)), usual, kept.size / RAYS)
+
+
+def _is_bent_plane(from_centre: Float64Array, heights: Float64Array, radius_um: float) -> bool:
+    """Return whether a polynomial of the second degree describes the rays: a slope, a dome or a cylinder has no edge.
+
+    from_centre : (column, row), shape (N, M, 2), µm
+    heights : of the same places, shape (N, M), µm
+    """
+    seen = np.isfinite(heights)
+    x, y = from_centre[seen].T / radius_um
+    z = heights[seen]
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    left = z - design @ np.linalg.lstsq(design, z, rcond=None)[0]
+    return bool(left.var() < MIN_EDGE * z.var())
 
 
 def _crossing(along: Float64Array, share: Float64Array, near_um: float, level: float) -> float:
@@ -170,7 +190,7 @@ class CircleMeasurand:
         column_um, row_um, radius_um = self.found.grid
         circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * radius_um
         self.places_px = (circle + np.array([row_um, column_um])) / height.pitch_um
-        self.masked_share = 1.0 - self.found.share
+        self.masked_share = 1.0 - float(bilinear(height.z_um, self.places_px[:, ::-1])[1].mean())
         others = [self._at(height.z_um, level).radius_um for level in OTHER_LEVELS]
         self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
 

@@ -137,13 +137,13 @@ def require_step(profile: Profile, edges: StepEdges, *, are_found: bool) -> None
     MeasurementError
         The profile shows no step.
     """
+    height = step_height_um(profile, edges)
     used = used_samples(profile, edges)
     sides = _sides(profile, edges, IGNORED_SHARE, REACH_FLANKS)[used]
     along, z_um = profile.along_um[used], profile.z_um[used]
     place = (along - along.mean()) / np.ptp(along)
     line, smooth = (_rest(np.vander(place, degree + 1), z_um) for degree in (1, SMOOTH_DEGREE))
     left = _rest(np.stack([np.ones_like(place), place, sides], axis=-1), z_um)
-    height = step_height_um(profile, edges)
     known = profile.z_um[np.isfinite(profile.z_um)]
     rounding = np.finfo(np.float32).eps * float(np.abs(known).max())
     is_there = rounding < abs(height) <= MAX_OF_SPAN * float(np.ptp(known))

@@ -281,6 +281,14 @@ def test_a_profile_without_a_groove_has_no_depth(kind: StepKind, shape: str) -> 
         require_step(profile, find_edges(profile, kind), are_found=True)
 
 
+@pytest.mark.parametrize("kind", ["groove", "ridge"])
+@pytest.mark.parametrize("width_um", [0.4, 1.2, 10.0])
+def test_edges_without_samples_between_them_are_refused(kind: StepKind, width_um: float) -> None:
+    profile = Profile(np.where(np.arange(60) > 30, 5.0, 0.0), PITCH_UM)
+    with pytest.raises(MeasurementError, match="fewer than 3 valid samples"):
+        require_step(profile, StepEdges(kind, (150.0, 150.0 + width_um)), are_found=False)
+
+
 def test_a_measured_step_is_no_higher_than_what_its_line_spans(write_result: Write) -> None:
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     coin = 400.0 / (1.0 + np.exp((np.hypot(row - 90.0, column) - 150.0) / 12.0))  # rim of a coin under the gel

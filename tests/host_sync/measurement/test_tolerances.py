@@ -71,6 +71,24 @@ def test_a_circle_across_the_border_counts_where_it_is_seen(write_result: Write)
     diameter = number(found, "a", "diameter")
     assert diameter.value == pytest.approx(500.0, abs=2.0)
     assert any("of the circle only" in words for words in diameter.warnings)
+    assert 0.3 < diameter.masked_share < 0.5
+
+
+@pytest.mark.parametrize("shown", ["slope", "dome", "cylinder"])
+@pytest.mark.parametrize("place", [(30.0, 20.0, 300.0), (600.0, 450.0, 400.0), (1200.0, 870.0, 300.0)])
+def test_a_part_of_a_slope_holds_no_circle(shown: str, place: tuple[float, float, float]) -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH_UM
+    surface = {"slope": 0.04 * column, "dome": -1e-4 * (row**2 + column**2), "cylinder": -1e-4 * column**2}[shown]
+    with pytest.raises(MeasurementError, match="no round edge"):
+        find_circle(surface.astype(np.float32), SkinPlaces(PITCH_UM), place[:2], place[2])
+
+
+def test_rays_that_meet_no_edge_are_not_masked(write_result: Write) -> None:
+    away = np.arange(SHAPE[1]) * PITCH_UM - 600.0
+    z_um = np.where(away < 100.0, hole(), 0.005 * (away + 600.0) - 60.0)
+    found = number(measure_result(write_result(z_um), Recipe(circle=(RIM,))), "rim", "diameter")
+    assert any("of the circle only" in words for words in found.warnings)
+    assert found.masked_share == 0.0
 
 
 @pytest.mark.parametrize("shown", ["flat", "wave", "noise", "skin", "step"])
