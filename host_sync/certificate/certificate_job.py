@@ -25,6 +25,7 @@ from host_sync.measurement.quantity import Quantity
 from host_sync.reconstruction.from_frame_set import CALIBRATION_FOLDER
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.registration.difference import are_copies
 from host_sync.report.writing import find_browser, write_report
 from host_sync.results.reader import ResultSurface, read_result
 
@@ -77,7 +78,8 @@ def write_certificate(certificate: Certificate, out: Path) -> list[Path]:
 def check_specimen(
     path: Path, specimen: SpecimenFile, calibration: Calibration, form: FrameSpec, out: Path, tell: Tell
 ) -> CheckedSpecimen:
-    """Reconstruct and measure every scan of a specimen; a scan that fails is named in its result.
+    """Reconstruct and measure every scan of a specimen; a scan that fails or copies an earlier one is named in its
+    result.
 
     form : of its images, which are not named in it
     """
@@ -88,6 +90,8 @@ def check_specimen(
         tell(f"{specimen.name}: scan {number} of {len(specimen.scan)}")
         try:
             surface = _surface(path.parent, scan, calibration, form, out / f"scan-{number:02d}", specimen.name)
+            if any(are_copies(one.height.z_um, surface.height.z_um) for one in surfaces):
+                raise MeasurementError(f"scan {number} is a copy of an earlier one: it is not used")
             quantity = measured_quantity(specimen, surface)
         except (DeviceError, HostError) as error:
             failures.append(str(error))

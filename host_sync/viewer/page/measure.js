@@ -71,6 +71,7 @@ export class MeasurePanel {
       set({ parameters: on ? [...now, group] : now.filter((one) => one !== group) });
     }));
     const spectrum = check("power spectrum", false, (on) => set({ spectrum: on || null }));
+    const beyond = check("slopes beyond the balls'", false, (on) => set({ keep_extrapolated: on || null }));
     const factor = h("select", { onchange: () => set({ coverage_factor: Number(factor.value) }) }, [1, 2].map((k) => h("option", { value: k }, `k = ${k}`)));
     this.show = () => {
       const { recipe } = this.history;
@@ -84,12 +85,13 @@ export class MeasurePanel {
       pitch.value = share ? Number((100 * share).toPrecision(6)) : "";
       groups.forEach(({ box }, at) => (box.checked = (recipe.parameters ?? GROUPS).includes(GROUPS[at])));
       spectrum.box.checked = Boolean(recipe.spectrum);
+      beyond.box.checked = Boolean(recipe.keep_extrapolated);
       this.undo.disabled = !this.history.canUndo;
       this.redo.disabled = !this.history.canRedo;
     };
     return section("Surface", levelField ?? field("Level on", level), formField, sField, lField, field("± is", factor),
       field("± of the pixel pitch", pitch, { unit: "%" }),
-      h("fieldset", { class: "checks" }, h("legend", {}, "Parameters"), ...groups.map(({ element }) => element), spectrum.element));
+      h("fieldset", { class: "checks" }, h("legend", {}, "Parameters"), ...groups.map(({ element }) => element), spectrum.element, beyond.element));
   }
 
   numberSection() {

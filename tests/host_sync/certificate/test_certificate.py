@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import msgspec
 import numpy as np
 import pytest
+import tifffile
 
 from device.surface.fields import HeightMap
-from host_sync.certificate.certificate_job import RECORD_FILE, write_certificate
+from host_sync.calibration.calibrate import Calibration
+from host_sync.certificate.certificate_job import RECORD_FILE, check_specimen, write_certificate
 from host_sync.certificate.certificate_pages import Certificate, HashedFile, verdict_of
 from host_sync.certificate.characteristics import CheckedSpecimen, characteristics
 from host_sync.certificate.specimen_measurement import (
@@ -23,6 +26,7 @@ from host_sync.certificate.specimen_measurement import (
     read_specimen,
 )
 from host_sync.errors import MeasurementError
+from host_sync.frames.frame_set import FrameSpec
 from host_sync.results.reader import ResultRecord, ResultSurface
 from tests.apparatus.printing import needs_browser
 
@@ -128,6 +132,27 @@ def test_noise_and_flatness_come_from_repeated_scans_of_a_flat() -> None:
     quiet = symbols(checked(file, bow, bow))
     assert quiet["N_M"].value == pytest.approx(0.0, abs=1e-4)
     assert quiet["z_FLT"].value == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_copied_scan_is_named_and_shows_no_noise(tmp_path: Path) -> None:
+    flat = np.random.default_rng(3).normal(0.0, 1.0, SHAPE).astype(np.float32)
+    record = {
+        "schema": "retrograph.result/1", "name": "made", "rows": SHAPE[0], "columns": SHAPE[1],
+        "pixel_pitch_um": PITCH_UM, "calibration_id": "abc",
+    }  # fmt: skip
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        tifffile.imwrite(tmp_path / name / "height_um.tif", flat)
+        (tmp_path / name / "result.json").write_bytes(msgspec.json.encode(record))
+    file = specimen("flat", 1.0, measure=MeasureTable(region_um=(0.0, 0.0, 3000.0, 1000.0)))
+    file = msgspec.structs.replace(file, scan=tuple(ScanTable(result=name) for name in "ab"))
+    calibration = cast(Calibration, SimpleNamespace(calibration_id="abc"))
+    judged = check_specimen(
+        tmp_path / "f.toml", file, calibration, FrameSpec((), "linear"), tmp_path / "out", lambda _: None
+    )
+    assert len(judged.result.values_um) == 1
+    assert "scan 2 is a copy of an earlier one: it is not used" in judged.result.words
+    assert symbols(judged)["N_M"].value is None
 
 
 def test_a_flat_is_never_judged_by_its_noise() -> None:
