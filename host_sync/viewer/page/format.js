@@ -53,3 +53,8 @@ export function moment(text) {
 export function percent(share) {
   return `${Number((share * 100).toPrecision(2))} %`;
 }
+
+/** A measured number with its ±, which is not there yet before the answer is whole. */
+export function numberText(one, whole) {
+  return whole ? one.number : one.number.replace(", ± not known", " ± …");
+}

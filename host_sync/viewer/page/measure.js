@@ -215,9 +215,9 @@ export class MeasurePanel {
   take(found) {
     this.found = this.shapes.found = found;
     this.problem.hidden = true;
-    const final = found.samples || !this.stage.facts.has_samples;
-    this.status.textContent = final ? found.notes.join(". ") : "± follows";
-    this.element.dataset.ready = final ? "yes" : "no";
+    found.whole = found.samples || !this.stage.facts.has_samples;
+    this.status.textContent = found.whole ? found.notes.join(". ") : "± follows";
+    this.element.dataset.ready = found.whole ? "yes" : "no";
     this.doubts.hidden = !found.doubts.length;
     this.doubts.textContent = `Doubt: ${found.doubts.join("; ")}`;
     if (this.address) URL.revokeObjectURL(this.address);
@@ -228,7 +228,7 @@ export class MeasurePanel {
     this.drawer.hidden = !this.drawer.childElementCount;
     this.layOut();
     this.stage.overlay();
-    if (final) announce("Numbers are complete");
+    if (found.whole) announce("Numbers are complete");
   }
 
   /** Take the recipe of a file. */

@@ -1,6 +1,7 @@
 // What is measured at one place: its name, places that can be typed, numbers with limits and verdicts.
 
 import { field, h } from "./dom.js";
+import { numberText } from "./format.js";
 import { KINDS, numbers } from "./recipe_shapes.js";
 
 export const SURFACE = { kind: "surface", index: 0, name: "surface" };
@@ -97,7 +98,7 @@ export class ItemCard {
     const said = common.filter((words) => !known.includes(words) && !words.startsWith("±"));
     this.shared.hidden = !said.length;
     this.shared.textContent = said.join("; ");
-    for (const one of shown) this.fill(this.rows.get(one.name), one, found.samples || !this.panel.stage.facts.has_samples, recipe);
+    for (const one of shown) this.fill(this.rows.get(one.name), one, found.whole, recipe);
   }
 
   row({ name, unit }) {
@@ -116,7 +117,7 @@ export class ItemCard {
   }
 
   fill(row, one, whole, recipe) {
-    row.value.textContent = whole ? one.number : one.number.replace(", ± not known", " ± …");
+    row.value.textContent = numberText(one, whole);
     const verdict = whole ? one.limits?.verdict : null;
     row.element.dataset.verdict = verdict ?? "";
     row.verdict.textContent = verdict ? VERDICTS[verdict] : "";

@@ -1,6 +1,7 @@
 // Draws a recipe's shapes over the relief, and turns drags into new and moved ones.
 
 import { svg } from "./dom.js";
+import { numberText } from "./format.js";
 import { drawn, handles, KINDS, nextName, shapeHandles, sorted } from "./recipe_shapes.js";
 
 const REGION = { form: "rectangle", key: "region_um" };
@@ -140,7 +141,7 @@ export class Shapes {
     const verdict = ["fail", "undecided", "pass"].find((one) => verdicts.includes(one)) ?? "";
     const parts = KINDS[kind].forms.flatMap((shape) => this.outline(this.shape(shape, item), verdict));
     for (const um of this.found?.steps?.find((one) => one.name === item.name)?.edges_um ?? []) parts.push(this.edge(item, um));
-    const main = numbers[0]?.value === null || !numbers.length ? "" : `: ${numbers[0].number}`;
+    const main = numbers[0]?.value === null || !numbers.length ? "" : `: ${numberText(numbers[0], this.found.whole)}`;
     const words = `${MARKS[verdict] ? `${MARKS[verdict]} ` : ""}${item.name}${main}`;
     return [...parts, this.label(words, this.screen(handles(kind, item).at(-1).at)), ...handles(kind, item).map((one, number) => this.handle(one.at, `${kind}:${index}:${number}`))];
   }

@@ -83,6 +83,7 @@ def test_what_is_clicked_is_measured_and_saved(
     page.get_by_label("± of the pixel pitch").fill("0.2")
     page.get_by_label("± of the pixel pitch").press("Tab")
     page.wait_for_selector(".number[data-verdict=fail]:has-text('Sa')")
+    page.get_by_label("slopes beyond the balls'").check()
     calm(page)
     with page.expect_download() as saving:
         page.get_by_role("link", name="Save recipe").click()
@@ -91,6 +92,7 @@ def test_what_is_clicked_is_measured_and_saved(
     assert main(["measure", str(results / "hill"), "--recipe", str(path), "--json"]) == 1
     (record,) = json.loads(capsys.readouterr().out)
     assert record["recipe"]["l_filter_um"] == 400.0
+    assert record["recipe"]["keep_extrapolated"] is True
     assert record["recipe"]["scale"]["pixel_pitch_share"] == 0.002
     assert len(record["recipe"]["mask"]) == 1
     for name in ("surface", "step 1", "angle 1"):
@@ -99,6 +101,18 @@ def test_what_is_clicked_is_measured_and_saved(
         for one in (one for one in record["quantities"] if one["subject"] == name and one["value"] is not None):
             assert one["sentence"].startswith(f"{one['name']} {shown[one['name']]}")
     assert " ± " in numbers(page, "surface")["Sa"]
+
+
+def test_no_uncertainty_is_unknown_while_it_is_computed(served: Any, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    page.wait_for_selector(".card")
+    open_measuring(page, "hill")
+    page.route("**/measure?*samples=1*", lambda _: None)
+    page.get_by_role("button", name="Distance", exact=True).click()
+    page.get_by_role("button", name="Place in the middle").click()
+    label = page.wait_for_selector(".lines .label:has-text('±')").text_content()
+    assert label.endswith(" ± …")
+    assert all(text.endswith(" ± …") for text in numbers(page, "distance 1").values())
 
 
 @pytest.mark.slow
