@@ -33,6 +33,7 @@ from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.library.library import Library, default_library
 from host_sync.results.files import DetailName
+from host_sync.text import some_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -238,10 +239,6 @@ def _reconstruct_scans(
     return [*done, *failed]
 
 
-NAMED_SCANS: Final = 3
-"""Scans of one doubt that are named; more are counted."""
-
-
 def print_outcomes(outcomes: Sequence[ScanOutcome]) -> None:
     """Print why scans failed, then every doubt once, with its scans."""
     scans_of: dict[str, list[str]] = {}
@@ -251,8 +248,7 @@ def print_outcomes(outcomes: Sequence[ScanOutcome]) -> None:
         for words in outcome.warnings:
             scans_of.setdefault(words, []).append(outcome.scan)
     for words, scans in scans_of.items():
-        named = ", ".join(scans) if len(scans) <= NAMED_SCANS else f"{len(scans)} of {len(outcomes)} scans"
-        print_error(f"{named}: doubt: {words}", PARTLY)
+        print_error(f"{some_of(scans)}: doubt: {words}", PARTLY)
 
 
 def paper_figures(

@@ -427,6 +427,6 @@ def test_a_doubt_of_many_scans_stands_once(capsys: pytest.CaptureFixture[str]) -
     print_outcomes(outcomes)
     assert capsys.readouterr().err.splitlines() == [
         "retrosync: scan-5: it is blurred",
-        "retrosync: 4 of 6 scans: doubt: failed calibration",
+        "retrosync: scan-0, scan-1, scan-2 and 1 more: doubt: failed calibration",
         "retrosync: scan-4: doubt: no zero",
     ]
