@@ -72,6 +72,7 @@ def _summary(health: ScanHealth) -> str:
 class BaselineScheduler:
     """Schedules baseline checks of untouched skin: 0.3 s after a press once the view is calm, then every 10 s.
 
+    Contact that comes or goes is checked once it is calm, since a light that changes looks like contact.
     Until the lights were measured alone, every movement in view requests an attempt, since it may be the lift of an
     object that was in contact from the start, and so does every second of a press that waits for its verdict.
     """
@@ -99,6 +100,8 @@ class BaselineScheduler:
         motion, in_air = live.reading.motion, live.reading.in_air
         is_calm = motion is not None and motion < MOVING
         self._calm_frames = self._calm_frames + 1 if is_calm else 0
+        if in_air != self._was_in_air:
+            self._checked_ns = 0
         if not self._health.knows_shares and (not is_calm or in_air != self._was_in_air):
             self._is_requested = True
         self._was_in_air = in_air

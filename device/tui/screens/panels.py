@@ -232,7 +232,8 @@ def state_text(state: InstrumentState, columns: int) -> str:
     parts = [_room(state), _battery(state.power), calibration_text(state.calibration), f"gel {state.gel.gel_id}"]
     if state.processing:
         parts.insert(1, f"{state.processing} processing")
-    if state.health.level != "good" and state.health.sentence:
+    is_outdated = state.live is not None and state.live.reading.advice == "lights"  # which the screen shows already
+    if state.health.level != "good" and state.health.sentence and not is_outdated:
         parts.insert(0, f"! {screen_advice(state.health.sentence)}")
     if state.check.is_due:
         parts.insert(0, "check due: Set-up")

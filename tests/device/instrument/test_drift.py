@@ -107,3 +107,23 @@ def test_whole_contact_without_lifting_is_not_taken_for_drift_and_never_good(
     assert len(verdicts) == 30
     assert {verdict.reason for verdict in verdicts} == {LIGHTS_UNKNOWN}
     assert set(state.light_change.values()) == {None}
+
+
+def test_a_light_that_weakens_over_untouched_skin_is_no_contact(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore
+) -> None:
+    with Instrument(hardware, calibrated) as instrument:
+        for _ in range(60):
+            instrument.step()
+        bench.faults.dimmed["blue"] = 0.9
+        for _ in range(100):  # five seconds, for the check runs beside the view; without contact one is due every ten
+            instrument.step()
+            state = instrument.state
+            if (state.health.light_change["blue"] or 0.0) < -0.05:
+                break
+        instrument.step()
+        state = instrument.state
+    assert state.health.light_change["blue"] == pytest.approx(-0.1, abs=0.003)
+    assert state.live is not None
+    assert state.live.reading.contact_fraction is None
+    assert state.live.reading.advice == "lights"

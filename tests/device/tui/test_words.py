@@ -5,12 +5,14 @@ from datetime import UTC, datetime
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 from each_case import each_case
 
 from device.calibration.acceptance import Check
+from device.guidance.guide import Advice, GuideReading
 from device.imaging.exposure import Brightness
-from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState
+from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, LiveView
 from device.tui.drawing.cells import colour_depth
 from device.tui.drawing.text import age_text, check_lines, coverage_lines, gauge_text, shortened, signed_percent
 from device.tui.screens.panels import ProgramInfo, instrument_panel, state_text
@@ -73,6 +75,19 @@ def test_the_state_line_says_first_what_matters_most() -> None:
     assert (
         text == "! light red is 3% weaker · 12 scans left · 1 processing · battery 40% · calibrated just now · gel gel"
     )
+
+
+@pytest.mark.parametrize(("advice", "is_shown"), [("lights", False), ("ready", True)])
+def test_lights_as_last_measured_are_not_shown_while_the_live_view_finds_them_wrong(
+    advice: Advice, is_shown: bool
+) -> None:
+    warned = HealthState({}, level="doubtful", sentence="light red is 3% weaker")
+    reading = GuideReading(
+        contact_fraction=None, tilt_deg=None, tilt_towards="", motion=0.0, still_s=0.0, clipped_fraction=0.0,
+        exposure=0.2, depth_um=None, depth_fraction=None, in_air=False, advice=advice, sentence="", cpu_ms=1.0,
+    )  # fmt: skip
+    live = LiveView(np.zeros((2, 2, 3), np.uint8), 2, reading, 0)
+    assert ("3% weaker" in state_text(state(health=warned, live=live), 200)) is is_shown
 
 
 @pytest.mark.parametrize(
