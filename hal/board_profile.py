@@ -220,8 +220,10 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def pupil_height_mm(self) -> float | None:
-        """Height of the camera's entrance pupil over the untouched skin, as rays inside the gel see it; None where
-        neither [camera] nor [lens] states it."""
+        """Height of the entrance pupil over the untouched skin, as rays inside the gel see it.
+
+        None if neither [camera] nor [lens] states it.
+        """
         if self.camera.pupil_height_mm is not None or self.lens is None:
             return self.camera.pupil_height_mm
         return self.lens.pupil_height_mm(self.sensor.pixel_pitch_um)
@@ -239,8 +241,11 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """Capabilities beyond scanning: "indicator", "under-voltage", "battery", "focus", "light-current", and
-        "live-aiming" (ten views per second with time to spare)."""
+        """Capabilities of the instrument beyond scanning.
+
+        "indicator", "under-voltage", "battery", "focus", "light-current", and "live-aiming" (ten views per second with
+        time to spare).
+        """
         has = {
             "indicator": self.indicator is not None,
             "under-voltage": self.power is not None,

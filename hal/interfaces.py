@@ -298,8 +298,10 @@ OperatorRequest = LiftOff | PressBall | PressObject | MayLift | NeverMind | SetF
 
 
 class Operator(Protocol):
-    """The person who holds the instrument, or the twin's operator, which carries out the request in the simulated world
-    and then pushes the button."""
+    """The person who holds the instrument, or the twin's operator.
+
+    The twin's operator carries out the request in the simulated world and then pushes the button.
+    """
 
     def ask(self, request: OperatorRequest) -> None:
         """Hand over one request and return at once; the answer is a press of the button, except to a notice.

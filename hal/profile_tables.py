@@ -50,8 +50,11 @@ class LensConfig(Table, frozen=True):
     focus_mm: Annotated[float, msgspec.Meta(ge=-20, le=20)] = 0.0
 
     def pupil_height_mm(self, pitch_um: float) -> float:
-        """Return the height of the entrance pupil over the untouched skin, whose pixels are `pitch_um` apart, as rays
-        inside the gel see it: the block's flat face bends them, so that it seems farther by the refractive index.
+        """Return the height of the entrance pupil over the untouched skin, as rays inside the gel see it.
+
+        The block's flat face bends the rays, so that the pupil seems farther by the refractive index.
+
+        pitch_um : distance of neighbouring pixels on the skin
         """
         return GEL_INDEX * self.focal_mm * (1.0 + pitch_um / self.pixel_um)
 

@@ -144,8 +144,7 @@ class PicameraCamera:
     def _read(
         self, request: Request, asked_ns: int, read: Callable[[Request, Mapping[str, Any]], Result]
     ) -> Result | None:
-        """Return the result of `read` for a request, or None when its frame ended before `asked_ns`; releases its
-        buffers."""
+        """Return the result of `read` and release the request; None if its frame ended before `asked_ns`."""
 
         def unpack(_camera: OpenCamera) -> Result | None:
             metadata = request.get_metadata()
@@ -157,8 +156,10 @@ class PicameraCamera:
             request.release()
 
     def _raw_frame(self, request: Request, metadata: Mapping[str, Any]) -> RawFrame:
-        """Return the frame. libcamera stamps the read-out of the first row; the exposure began one exposure time
-        earlier."""
+        """Return the request's frame, stamped with the start of its exposure.
+
+        libcamera stamps the read-out of the first row, one exposure time later.
+        """
         stream = self._pipeline.stream
         exposure_us = float(self._metadata_value(metadata, "ExposureTime"))
         return RawFrame(

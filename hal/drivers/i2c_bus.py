@@ -1,5 +1,7 @@
-"""One chip on an I²C bus: reads and writes registers with a limited number of retries; errors name chip, address and
-bus."""
+"""Registers of one chip on an I²C bus, read and written with a limited number of retries.
+
+Errors name chip, address and bus.
+"""
 
 from __future__ import annotations
 

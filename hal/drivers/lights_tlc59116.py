@@ -1,5 +1,6 @@
-"""TLC59116: 16 channels that share one current; each is dimmed by its own 97 kHz duty cycle, far faster than any
-exposure.
+"""TLC59116: 16 channels share one current, and each is dimmed by its own duty cycle.
+
+The duty cycles repeat at 97 kHz, far faster than any exposure.
 
 The 190 Hz group dimming is never used: it would cause bands with a rolling shutter. Register numbers follow TI's data
 sheet SLDS157; auto-increment is in the top bits of the control byte.

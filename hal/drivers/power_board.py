@@ -32,8 +32,9 @@ class Max17048:
         self._chip = chip
 
     def read(self) -> tuple[float, float]:
-        """Return the cell voltage (mV) and charge (0 to 1; the gauge may report slightly more than 1, which is
-        clipped).
+        """Return the cell voltage (mV) and the charge (0 to 1).
+
+        The gauge may report a charge slightly above 1, which is clipped.
 
         Raises
         ------

@@ -73,8 +73,9 @@ class LockedControls:
             raise CameraError(f"uvc.controls: {unknown[0]!r} is not a control; accepted: {', '.join(CONTROLS)}")
 
     def lock(self, settings: CameraSettings) -> CameraSettings:
-        """Set and read back everything; returns exposure and gain as granted; a fixed exposure is the
-        profile's.
+        """Set every control, read it back, and return exposure and gain as granted.
+
+        An exposure that the camera cannot set is the profile's.
 
         Raises
         ------

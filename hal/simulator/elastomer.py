@@ -43,8 +43,10 @@ def decay_length_mm(thickness_mm: float) -> float:
 
 
 def ball_indentation_mm(radius_mm: float, slope_angle_rad: float, thickness_mm: float) -> float:
-    """Return the depth (mm) at which a ball's contact ends with the given slope: its cap plus the lift of the skin
-    around it."""
+    """Return the indentation of a ball whose contact ends at the given slope.
+
+    It is the height of the cap in contact plus the lift of the skin around it.
+    """
     length = decay_length_mm(thickness_mm)
     rim = radius_mm * np.sin(slope_angle_rad) / length
     lift = np.tan(slope_angle_rad) * length * k0e(rim) / k1e(rim)

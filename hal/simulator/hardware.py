@@ -280,8 +280,10 @@ def led_model(chip: str, reference_ohm: float) -> LedDriverModel:
 
 
 def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
-    """Return a callback that drives each light of the world with the mean current of its LEDs, from the chip's
-    registers."""
+    """Return a callback that drives the world's lights as the chip's registers state.
+
+    The current of a light is the mean over its LEDs.
+    """
 
     def follow() -> None:
         currents_ma = leds.currents_ma()

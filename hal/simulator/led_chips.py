@@ -116,8 +116,9 @@ class LedDriverModel(RegisterChip):
 
 
 class Pca9955bModel(LedDriverModel):
-    """PCA9955B: MODE1 is 89h after power-on, outputs in PWM mode at duty 0, errors latched, auto-increment from 00h to
-    43h.
+    """PCA9955B, which latches errors and increments registers from 00h to 43h by itself.
+
+    After power-on, MODE1 is 89h and the outputs are in PWM mode at duty 0.
 
     reference_ohm : resistor at REXT; a step of IREF is 900 mV / (4 REXT)
     """

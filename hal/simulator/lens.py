@@ -74,10 +74,9 @@ class Lens:
         return x * nearer, y * nearer
 
     def see(self, surface: Surface, centre_mm: tuple[float, float], turn_rad: float, top_mm: float) -> FloatArray:
-        """Return the height (mm) above the untouched skin of the surface point that each pixel would see, NaN outside
-        the surface.
+        """Return the height (mm) over the untouched skin of the surface point that each pixel would see.
 
-        The origin of the surface is at `centre_mm`, turned by `turn_rad`, its highest point at `top_mm`.
+        NaN outside the surface, whose origin is at `centre_mm`, turned by `turn_rad`, its highest point at `top_mm`.
         """
         cos, sin = np.float32(np.cos(turn_rad)), np.float32(np.sin(turn_rad))
         height = np.full((self.row_mm.size, self.column_mm.size), top_mm, np.float32)
@@ -165,8 +164,10 @@ class Blur:
         return FULL_WIDTH * float(self.sigma_um(np.float64(off_mm)))
 
     def sigma_um(self, off_mm: FloatArray | np.float64) -> FloatArray:
-        """Return the standard deviation of a point's image at these distances (mm) from the plane in focus; same
-        shape."""
+        """Return the standard deviation of a point's image, in the shape of `off_mm`.
+
+        off_mm : distances from the plane in focus
+        """
         fixed = math.hypot(SIGMA_OF_AIRY / 2.44 * self.airy_um, SIGMA_OF_PIXEL * self.pitch_um)
         return np.asarray(np.hypot(fixed, SIGMA_OF_DISC * self.defocus * 1e3 * off_mm))
 
@@ -196,8 +197,7 @@ def blur_of(lens: LensConfig, pitch_um: float) -> Blur:
 
 
 def _tent(value: Float32Array, nodes: FloatArray, number: int) -> Float32Array:
-    """Return the weight of one node in the linear interpolation between nodes: array of the shape of `value`, 0 to
-    1."""
+    """Return the weight (0 to 1) of one node in linear interpolation between nodes, in the shape of `value`."""
     peak = np.zeros(nodes.size)
     peak[number] = 1.0
     return np.asarray(np.interp(value, nodes, peak), np.float32)

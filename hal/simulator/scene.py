@@ -83,8 +83,10 @@ def _axis(position_mm: Place, beam: BeamConfig) -> FloatArray:
 
 
 def _passed(outside: FloatArray, inside: FloatArray) -> FloatArray:
-    """Return the fraction of unpolarised light that enters the facet, from the sines of its angles to the normal
-    (Fresnel)."""
+    """Return the fraction of unpolarised light that enters the facet (Fresnel).
+
+    outside, inside : sines of the angles to the normal on either side
+    """
     cos_out, cos_in = np.sqrt(1.0 - outside**2), np.sqrt(1.0 - inside**2)
     across = (cos_out - ACRYLIC * cos_in) / (cos_out + ACRYLIC * cos_in)
     along = (ACRYLIC * cos_out - cos_in) / (ACRYLIC * cos_out + cos_in)
@@ -97,10 +99,9 @@ SPOT_PX = 2.0
 
 @lru_cache(maxsize=1)
 def pigment_pattern(shape: tuple[int, int], contrast: float, seed: int) -> Float32Array:
-    """Return the reflectance of the coat over its mean: float32 array of `shape` (H, W), its standard deviation
-    `contrast`.
+    """Return the reflectance of the coat over its mean, float32 array of `shape` (H, W).
 
-    The same array for every press of a skin; nobody may write to it.
+    Its standard deviation is `contrast`. All presses of a skin share the array; nobody may write to it.
     """
     if contrast == 0.0:
         return np.ones(shape, np.float32)
@@ -182,8 +183,10 @@ def _lay_skin(profile: BoardProfile, lens: Lens, press: Press | None) -> Skin:
 
 
 def mosaic_weights(sensor: SensorConfig, passed: tuple[float, float, float]) -> Float32Array:
-    """Return the fraction of a light that each pixel's filter passes, float32 array of shape (H, W), from `passed` by
-    R, G, B."""
+    """Return the fraction of a light that each pixel's filter passes, float32 array of shape (H, W).
+
+    passed : fractions that the filters of R, G and B pass
+    """
     cell = np.array([passed["RGB".index(letter)] for letter in native_order(sensor)], np.float32).reshape(2, 2)
     return np.tile(cell, (sensor.rows // 2, sensor.columns // 2))
 
@@ -299,8 +302,7 @@ _GRID_CELLS: Final = 100_000
 def visible_fraction(
     height_mm: FloatArray, pitch_mm: float, light_mm: tuple[float, float, float], light_radius_mm: float
 ) -> Float32Array:
-    """Return the fraction of the light's disc visible from each point, float32 array of the shape of `height_mm`, 0 to
-    1."""
+    """Return the fraction (0 to 1) of the light's disc that each point sees, float32, shape of `height_mm`."""
     rows, columns = height_mm.shape
     reduction = max(1, round((rows * columns / _GRID_CELLS) ** 0.5))
     size = (max(columns // reduction, 2), max(rows // reduction, 2))
