@@ -185,8 +185,10 @@ def _dimmed(hardware: Hardware, plan: CaptureSettings, fraction: float) -> Captu
 def _plan_for_exposure(
     hardware: Hardware, settings: CameraSettings, doses: list[float], longest_us: float
 ) -> CaptureSettings:
-    """Return settings that bring the brightest channel to the target level by exposure alone: the lights are always
-    on."""
+    """Return settings that bring the brightest channel to the target level by exposure alone.
+
+    For boards whose lights are always on.
+    """
     currents_ma = hardware.profile.currents_ma
     exposure_us = min(dose / current for dose, current in zip(doses, currents_ma.values(), strict=True))
     step_us = hardware.profile.sensor.exposure_step_us
@@ -199,10 +201,9 @@ def _plan_for_exposure(
 
 
 def _plan_for(hardware: Hardware, settings: CameraSettings, responses: list[float]) -> tuple[CaptureSettings, str]:
-    """Return settings that bring every channel to the target level, with the board's exposure unless a current is
-    limited.
+    """Return settings that bring every channel to the target level, and what limits the exposure.
 
-    Returns the limit too, one sentence.
+    The limit is one sentence, empty where the exposure is the board's.
     """
     lights = hardware.lights
     doses = [AIMED_LEVEL / response for response in responses]

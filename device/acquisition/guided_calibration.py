@@ -197,8 +197,10 @@ class GuidedCalibration:
         self._ask_next()
 
     def _changed_since(self, reference: LinearFrame) -> str:
-        """Return a doubt about a reference that differs from the last one: said once, since skin and lights may
-        change."""
+        """Return a doubt about a reference whose light differs from the last one's, else an empty text.
+
+        It is stated once, since skin and lights may change.
+        """
         if self._last is None or self._last.reference.shape != self._frame_shape(reference) or self._is_warned:
             return ""
         changed = changed_shape(reference, bin_bayer(self._last.reference, BINNING))

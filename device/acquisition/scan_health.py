@@ -180,8 +180,10 @@ class ScanHealth:
         return self._reference.lights_beside_press(intensity, self._shares)
 
     def _drifted(self) -> Levels | None:
-        """Return the last measured changes if a light was off by too much: it is taken to be so until skin shows
-        otherwise."""
+        """Return the last measured changes of the lights if one of them is too large, else None.
+
+        Such a change counts until untouched skin shows otherwise.
+        """
         changes = self._drift.changes
         return changes if changes and max(abs(change) for change in changes) > LIGHT_DRIFTED else None
 
@@ -201,8 +203,9 @@ class ScanHealth:
 
 
 def _covers_field(press: PressMeasure, region: UntouchedRegion | None) -> bool:
-    """Return whether a gentle object covers the whole field: little relief stands out, and yet the field is not
-    untouched.
+    """Return whether a gentle object covers the whole field.
+
+    Little relief then stands out, and yet the field is not untouched.
     """
     fraction = press.contact_fraction
     if fraction is None or fraction >= LIGHT_CONTACT:

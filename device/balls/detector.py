@@ -102,8 +102,7 @@ def check_radius(radius_px: float, shape: tuple[int, int], name: str) -> None:
 
 
 def fits(radius_px: float, shape: tuple[int, int]) -> bool:
-    """Return True if the least contact that is sought fits into a frame of `shape` (H, W): a lens may be too wide for
-    it."""
+    """Return True if the smallest contact that is sought fits into a frame of `shape` (H, W)."""
     return 2.0 * MIN_CONTACT * radius_px <= min(shape)
 
 
@@ -150,10 +149,10 @@ def find_balls(
 def _find_shallow(
     image: NormalizedImage, radius_px: float, whole: Sequence[_Sighting], fractions: Sequence[float]
 ) -> list[Ball]:
-    """Return the only ball of a press, if its contact is what a ball of one of these fractions of the radius would
-    have.
+    """Return the only ball of a press if its contact is that of a smaller ball, else an empty list.
 
     whole : what is seen in rings of the whole radius
+    fractions : radii of smaller balls as fractions of the radius, in the order in which they are tried
     """
     uneven = [(sighting, radius_px) for sighting in whole if _unevenness(sighting)]
     for fraction in fractions:
@@ -218,10 +217,10 @@ def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[flo
 
 
 def _alone(sightings: Sequence[_Sighting], shape: tuple[int, int], radius_px: float) -> int | None:
-    """Return the only ball of a press, if its contact is narrow or runs over the frame's border but is good where it is
-    seen.
+    """Return the index of the only useful sighting of a press; None where there is none or several.
 
-    A contact ends at the last ring of which enough is seen (`SEEN_SHARE`). Where several could be meant, none counts.
+    The contact may be narrow, or run over the frame's border if it is good where it is seen. It ends at the last ring
+    of which enough is seen (`SEEN_SHARE`).
     """
     useful = [k for k, sighting in enumerate(sightings) if not _fault(sighting, shape, radius_px, alone=True)]
     return useful[0] if len(useful) == 1 else None
@@ -308,10 +307,10 @@ def ramp_profile(rings: RadialProfiles) -> Float64Array:
 
 
 def find_contact_radius(profiles: Sequence[Float64Array]) -> Float64Array:
-    """Return the share of the radius at which each ball of a frame leaves the frame's common ramp, shape (number of
-    balls,).
+    """Return the fraction of the radius at which each ball of a frame leaves the frame's common ramp.
 
-    The common ramp is the upper quartile over the balls; infinite where a ball never leaves it or the balls are few.
+    Float64 array of shape (balls,). The common ramp is the upper quartile over the balls; infinite where a ball never
+    leaves it or the balls are few.
     """
     if len(profiles) < MIN_COMPANY:
         return np.full(len(profiles), np.inf)

@@ -168,8 +168,10 @@ def _follow(step: Callable[[Float64Array], Float64Array], start: Float64Array, r
 
 
 def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
-    """Return the shift that cancels the second harmonic over all rings: moving the origin adds (f' - f / distance) / 2
-    to it."""
+    """Return the shift (column, row), px, that cancels the second harmonic over all rings.
+
+    Moving the origin adds (f' - f / distance) / 2 to that harmonic.
+    """
     distance = np.arange(RING_INNER, RING_OUTER, 1.0 / 14.0)
     rings = sample_radial_profiles(reduced, at, radius_px, distance)
     bend = np.gradient(rings.first, distance, axis=0) - rings.first / distance[:, None]
@@ -189,8 +191,10 @@ def _apex_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float, pa
 
 
 def _is_bent(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> bool:
-    """Return True if no cubic follows the shading near an apex: it leaves much more of a wide patch than of a small
-    one."""
+    """Return True if no cubic follows the shading near an apex.
+
+    It then leaves much more of a wide patch than of a small one.
+    """
     (_, wide), (_, small) = (_fit_cubic(reduced, at, radius_px, patch) for patch in (APEX_PATCH, BENT_PATCH))
     return wide > MAX_BEND * small
 

@@ -129,8 +129,10 @@ class CalibrationBundle(Bundle[CalibrationRecord]):
 
 
 def decode_calibration(data: bytes, source: str | Path) -> CalibrationRecord:
-    """Return the calibration record in a manifest's bytes; `source` names it in errors, which are those of
-    `decode_scan`."""
+    """Return the calibration record in a manifest's bytes; errors are those of `decode_scan`.
+
+    source : names the manifest in errors
+    """
     record = decode_record(data, CalibrationRecord, source)
     check_files(record, source)
     return record

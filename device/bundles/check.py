@@ -24,8 +24,7 @@ COMMON_RADII_UM: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0
 
 
 def look_alike_um(value_um: float, limit_um: float, measured_um: float) -> float | None:
-    """Return the radius of the common ball that a reading shows instead of the certified one, µm; None where that is
-    not clear.
+    """Return the common ball radius that fits a reading where the certified one does not, µm, else None.
 
     limit_um : allowed deviation from the certified radius `value_um`
     """
@@ -121,10 +120,10 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
 
 def doubt_of_checks(counter: int, checks: Iterable[CheckRecord]) -> CheckRecord | None:
-    """Return the failed check that makes a scan doubtful: of any standard the next one after it, or the last one before
-    it.
+    """Return the failed check that makes a scan doubtful, None if there is none.
 
-    A check that passed clears its own standard's failures only, and is not doubtful itself by that standard.
+    Of each standard, the next check after the scan or the last one before it counts. A check that passed clears its own
+    standard's failures only, and is not doubtful itself by that standard.
 
     counter : of the scan
     checks : with the scan's calibration

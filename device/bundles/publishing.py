@@ -21,8 +21,10 @@ ManifestBuilder = Callable[[dict[str, FileEntry]], bytes]
 
 
 def publish_bundle(root: Path, kind: BundleKind, bundle_id: str, write: FileWriter, manifest: ManifestBuilder) -> Path:
-    """Return the published directory. `write` puts files into a directory, `manifest` turns their hashes into the
-    manifest.
+    """Write a bundle into a temporary directory, publish it, and return the published directory.
+
+    write : puts the bundle's files into a directory
+    manifest : turns the files' hashes into the manifest
 
     Raises
     ------

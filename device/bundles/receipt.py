@@ -1,6 +1,6 @@
 """The receipt: a workstation states that it stored a bundle, read it back and found every byte as promised.
 
-Only a receipt allows a device to free a scan, and only when it names the kind, the id and the very manifest that the
+Only a receipt allows a device to delete a scan, and only when it names the kind, the id and the very manifest that the
 device holds.
 """
 
@@ -49,8 +49,10 @@ def receipt_name(bundle_id: str) -> str:
 
 
 def bundle_of(receipt_file: str) -> str | None:
-    """Return the id of the bundle that a file of that name is about; None for any other file. The name alone proves
-    nothing."""
+    """Return the id of the bundle that a receipt's file name states; None for any other file.
+
+    The name alone proves nothing.
+    """
     return receipt_file.removesuffix(_SUFFIX) if receipt_file.endswith(_SUFFIX) else None
 
 

@@ -125,8 +125,10 @@ class Coverage(msgspec.Struct, frozen=True):
         return tuple(name for name, covered in self.sectors.items() if not covered)
 
     def next_place(self) -> tuple[float, float] | None:
-        """Return the middle of the first uncovered sector, as shares of the field's columns and rows; None when all
-        are."""
+        """Return the middle of the first uncovered sector; None when all are covered.
+
+        Column and row are fractions of the field's.
+        """
         for number, covered in enumerate(self.sectors.values()):
             if not covered:
                 return (number % SIDES + 0.5) / SIDES, (number // SIDES + 0.5) / SIDES

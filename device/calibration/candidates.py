@@ -131,10 +131,9 @@ class RegressorFit:
     error_as_seen: float = np.nan
 
     def leverage(self, slope: Float64Array, weight: Float64Array, alive: MaskArray) -> Leverage:
-        """Return the leverage of its features among those of the living balls, 0 for untouched skin; arguments as for
-        the ridge.
+        """Return the leverage of features among those of the living balls, 0 for untouched skin.
 
-        For a learner that does not read light.
+        The learner must not read light; arguments are the ridge's.
         """
         root = self.ridge.leverage_root(self.penalty, slope, weight, alive)
         seen = self.ridge.seen or self.ridge.features  # a scan's pixels are noisy, and so are those it is held against
@@ -212,8 +211,7 @@ def fit_regressor(
 
 
 def _with_less_noise(samples: BallSamples) -> list[Float32Array]:
-    """Return intensities (N, 3) without noise, with all of it, and with as much as a surface keeps; one if all are
-    alike."""
+    """Return intensities (N, 3) with no noise, all of it, and what a surface keeps; one without `quiet`."""
     if samples.quiet is None:
         return [samples.intensity]
     kept = samples.quiet + np.float32(NOISE_KEPT) * (samples.intensity - samples.quiet)
@@ -228,8 +226,7 @@ def _gentle_skin() -> tuple[Float64Array, Float64Array, Float64Array]:
 
 
 def _gentle_slopes_as_seen() -> tuple[Float32Array, Float64Array]:
-    """Return colours (N, 3) that a near field reads of gentle slopes, which are these slopes, and places (N, 2)
-    anywhere."""
+    """Return gentle slopes with their brightness (N, 3), as a near field reads them, and places (N, 2)."""
     slope, place, _ = _gentle_skin()
     brightness = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=1, keepdims=True))
     return np.concatenate([slope, brightness], axis=1).astype(np.float32), place
@@ -306,8 +303,7 @@ class Lesson:
         return replace(self, skin=skin)._trial(learner.form, reading).at_best_penalty()
 
     def _anchored_where_worth(self, trial: _Trial) -> tuple[RegressorFit, float]:
-        """Return the learner of a trial at its best penalty, and its held-out error; anchored where that is clearly
-        less."""
+        """Return a trial's best learner and its held-out error; an anchored one must be clearly better."""
         free = trial.at_best_penalty()
         if self.skin is None or not self.flat:
             return free
@@ -364,8 +360,9 @@ class _Trial:
         return balanced_errors(self.lesson.samples.ball, slope_from_stereographic(held_out), self.lesson.slope)
 
     def at_best_penalty(self) -> tuple[RegressorFit, float]:
-        """Return the learner with the penalty of least held-out error among the best so far and those beside it, or a
-        smaller one whose error is alike, and that error.
+        """Return the learner at the best penalty so far or beside it, and its held-out error.
+
+        Of penalties whose errors are alike, the smallest is taken.
         """
         least = self._least()
         self.attempt(range(least - PENALTY_STRIDE + 1, least + PENALTY_STRIDE))

@@ -103,8 +103,7 @@ def _refined_once(
 
 
 def _errors_deg(samples: BallSamples, read: Float64Array, slope: Float64Array, seen: MaskArray) -> Float64Array:
-    """Return the mean angle between slopes (N, 2) that were read and true ones, by ball: (balls,), NaN for those not
-    seen."""
+    """Return each ball's mean angle between slopes (N, 2) as read and true ones: (balls,), NaN if not `seen`."""
     angle = angle_between_deg(read, slope)
     pixels = np.maximum(np.bincount(samples.ball, minlength=len(seen)), 1)
     return np.asarray(np.where(seen, np.bincount(samples.ball, angle, len(seen)) / pixels, np.nan))

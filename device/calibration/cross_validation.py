@@ -63,8 +63,9 @@ class GroupedRidgeCV:
         alive: MaskArray,
         fold_of_ball: NDArray[np.intp] | None = None,
     ) -> list[Float64Array]:
-        """Return the stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other
-        folds.
+        """Return the held-out stereographic slopes (N, 2), one array per penalty.
+
+        A ball's slopes come from the living balls of other folds.
 
         fold_of_ball : int array of shape (balls,), from 0 on; by default balls are dealt out to `FOLDS` in turn
         """
@@ -77,8 +78,9 @@ class GroupedRidgeCV:
         alive: MaskArray,
         fold_of_ball: NDArray[np.intp] | None = None,
     ) -> FoldedRidge:
-        """Return the ridge with its normal equations fold by fold, for the penalties that are asked of it; arguments as
-        for `held_out`.
+        """Return the ridge with its normal equations fold by fold, to be solved for any penalties.
+
+        Arguments as for `held_out`.
         """
         fold = self._fold_of_row(alive) if fold_of_ball is None else fold_of_ball[self.ball]
         count = int(fold.max()) + 1
@@ -139,8 +141,9 @@ class FoldedRidge:
     others: list[tuple[Float64Array, Float64Array]]
 
     def held_out(self, penalties: Sequence[float], *, judged: bool = False) -> list[Float64Array]:
-        """Return the stereographic slopes (N, 2), one array a penalty; each ball's from the living balls of other
-        folds.
+        """Return the held-out stereographic slopes (N, 2), one array per penalty.
+
+        A ball's slopes come from the living balls of other folds.
 
         judged : of the pixels with as much noise as a surface keeps
         """
@@ -155,8 +158,9 @@ class FoldedRidge:
 
 
 def balanced_errors(ball: NDArray[np.intp], slopes: Float64Array, truth: Float64Array) -> list[float]:
-    """Return the mean absolute errors of slopes (P, N, 2), each ball's median taken out, so that centre errors do not
-    count.
+    """Return the mean absolute errors of slopes (P, N, 2) about each ball's median error.
+
+    Errors of a ball's centre then do not count.
 
     ball : int array of shape (N,), index of the ball that a pixel belongs to
     """

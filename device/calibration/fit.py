@@ -122,8 +122,9 @@ def fit_inverse_map(
     light: IlluminationMap | None = None,
     thorough: bool = False,
 ) -> InverseFit:
-    """Return the inverse map of a full-size field of `shape` (H, W) from samples of `balls`, with its held-out errors;
-    arguments and errors as for `begin_fit`.
+    """Return the inverse map fitted to samples of `balls`, with its held-out errors.
+
+    The full-size field has the `shape` (H, W). Arguments and errors as for `begin_fit`.
     """
     return begin_fit(samples, balls, shape, max_samples=max_samples, light=light, thorough=thorough).finished()
 
@@ -257,8 +258,10 @@ def _readings(samples: BallSamples, state: Refined, slope: Float64Array, shape: 
 def _of_another_radius(
     samples: BallSamples, state: Refined, learners: Learners, shape: tuple[int, int]
 ) -> HeldOutReadings | None:
-    """Return readings of every ball by the map trained on balls of the other radii, None when kept balls have one
-    radius."""
+    """Return readings of every ball by the map trained on balls of the other radii.
+
+    None where the kept balls have one radius, or lack one that others have.
+    """
     sizes = np.round(np.log([ball.radius_px for ball in state.balls]) / SAME_RADIUS).astype(np.intp)
     kinds, fold = np.unique(sizes, return_inverse=True)
     if len(np.unique(fold[state.kept])) < len(kinds) or len(kinds) < 2:
@@ -267,8 +270,11 @@ def _of_another_radius(
 
 
 def _learners(lesson: Lesson, light: IlluminationMap | None, *, thorough: bool) -> tuple[RegressorFit, Learners]:
-    """Return the learner of intensity; and the map's: it or near lights', the root's and light's where worth their
-    cost."""
+    """Return the learner of intensity, and those of the map.
+
+    The map's first learner is that of intensity or of near lights; those of root and light join where they are worth
+    it.
+    """
     many = lesson.count >= MIN_FOR_MANY_TERMS
     choices: dict[str, Callable[[Lesson], tuple[RegressorFit, float]]] = {"plain": Lesson.select_best}
     if light is not None and many:
@@ -307,8 +313,7 @@ def _learners_like(lesson: Lesson, plain: RegressorFit, learners: Learners) -> t
 def _flat_or_free(
     found: Mapping[tuple[str, bool], tuple[RegressorFit, float]], name: str
 ) -> tuple[RegressorFit, float]:
-    """Return the learner that reads untouched skin as flat, or the one that is free to miss it where that gains
-    enough."""
+    """Return the learner that reads untouched skin as flat, unless the free one is enough better."""
     flat, free = found[name, True], found.get((name, False))
     return free if free and free[1] < FREE_GAIN * flat[1] else flat
 

@@ -71,8 +71,10 @@ class MeasuredRadii:
 def measure_radii(
     stated_mm: float, shadows_mm: Sequence[float], samples: BallSamples, last: InverseMap | None
 ) -> MeasuredRadii:
-    """Return the radius of balls stated to have `stated_mm`, by their terminators (mm) and by the last calibration's
-    map."""
+    """Return the balls' radius as stated, by their terminators, and by the last calibration's map.
+
+    shadows_mm : terminators of the balls
+    """
     by_last = None
     if last is not None:
         shares = measured_radius_shares(samples, last)
@@ -82,8 +84,10 @@ def measure_radii(
 
 
 def wrong_by_shadow(stated_mm: float, shadows_mm: Sequence[float]) -> str:
-    """Return what is wrong with the balls by their shadows alone, which show it after a press or two; empty if nothing
-    is."""
+    """Return what is wrong with the balls by their shadows alone; empty if nothing is.
+
+    Shadows show it after a press or two.
+    """
     return MeasuredRadii(stated_mm, _by_shadow(stated_mm, shadows_mm), None).advice
 
 
@@ -179,8 +183,10 @@ def _height_mm(ball: Ball, distance_px: float) -> float:
 
 
 def _profile_away(image: NormalizedImage, ball: Ball, channel: int, direction_rad: float) -> Float64Array:
-    """Return the mean intensity at `DISTANCES` in a direction; NaN where the wedge leaves the image or its pixels are
-    invalid."""
+    """Return the mean intensity at `DISTANCES` from a ball's centre in a direction.
+
+    NaN where the wedge leaves the image or its pixels are invalid.
+    """
     angle = direction_rad + np.linspace(-WEDGE_RAD, WEDGE_RAD, RAYS)
     column = (ball.column + ball.radius_px * DISTANCES[:, None] * np.cos(angle)).astype(np.float32)
     row = (ball.row + ball.radius_px * DISTANCES[:, None] * np.sin(angle)).astype(np.float32)

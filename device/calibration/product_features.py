@@ -54,8 +54,11 @@ class ProductFeatures:
     def normal_equations(
         self, rows: NDArray[np.intp], weight: Float64Array, wanted: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Return the gram matrix (F, F) and moments (F, C) of pixels `rows`, with weights (N,) and what is wanted (N,
-        C)."""
+        """Return the Gram matrix (F, F) and moments (F, C) of the pixels `rows`.
+
+        weight : shape (N,)
+        wanted : values to fit, shape (N, C)
+        """
         if not self.waves.count and (self.rest is None or len(self.rest) == 1):
             gram, moment = self._of_sums(rows, weight, wanted)
         elif self.kept is None or self.waves.count:  # no other form has the same waves
@@ -164,8 +167,9 @@ class ProductFeatures:
     def _sums(
         self, colours: Float64Array, place: Float64Array, weight: Float64Array, wanted: Float64Array
     ) -> Float64Array:
-        """Return sums over pixels of every monomial of colour times every one of place, the last ones also times what
-        is wanted: float64 array, a monomial of colour a row.
+        """Return sums over pixels of the products of colour monomials (rows) and place monomials (columns).
+
+        Float64 array; the last columns hold the products times the wanted values too.
         """
         pairs = _pairs(self.position_degree, 2)
         count = int(pairs.max()) + 1 + len(pairs) * wanted.shape[1]
@@ -195,8 +199,10 @@ def _pairs(degree: int, variables: int) -> NDArray[np.intp]:
 
 @cache
 def _products(colour_degree: int, position_degree: int) -> NDArray[np.intp]:
-    """Return which sum of a monomial of colour (rows) times one of place (columns) the product of two features is: int
-    array of shape (M, K, M, K), by the terms of either.
+    """Return the index of the sum that holds the product of two features.
+
+    Int array of shape (M, K, M, K), by colour term and place monomial of either feature. Sums are counted row by row: a
+    monomial of colour a row, one of place a column.
     """
     by_colour, by_place = _pairs(colour_degree, 3), _pairs(position_degree, 2)
     return by_colour[:, None, :, None] * (int(by_place.max()) + 1) + by_place[:, None, :]

@@ -31,8 +31,10 @@ class CoverMap:
     last: tuple[float, float]
 
     def lines(self, columns: int, rows: int | None = None) -> list[str]:
-        """Return the area in characters twice as high as wide, in at most so many columns and rows: # covered, ·
-        missing, o the middle of the last press."""
+        """Return the area in lines of text: # covered, · missing, o the middle of the last press.
+
+        Characters are twice as high as wide; at most so many columns and rows.
+        """
         height, width = self.covered.shape
         step = max(-(-width // columns), 1 if rows is None else -(-height // (2 * rows)))
         cells: Any = np.where(self.covered[step // 2 :: step, step // 2 :: step][::2], "#", "·")
@@ -214,11 +216,11 @@ class Covering:
         return found
 
     def next_place(self) -> tuple[float, float] | None:
-        """Return the middle of the field from where most is covered beside enough overlap, mm from the first press's
-        middle.
+        """Return the middle of the field that covers most beside enough overlap, right and down.
 
-        What lies further up counts for more, so that rows are filled one after the other; of places that are worth as
-        much, the nearest to the last press. None where nothing is left but slivers that a hand misses.
+        It is in mm from the first press's middle. What lies further up counts for more, so that rows are filled one
+        after the other; of places that are worth as much, the nearest to the last press. None where nothing is left but
+        slivers that a hand misses.
         """
         reaches = (
             np.arange(-MISSED_MM, area - field + MISSED_MM + CELL_MM, CELL_MM)
@@ -269,8 +271,7 @@ class Covering:
 
 
 def _turned(ways: Float64Array, clockwise_deg: float) -> Float64Array:
-    """Return ways (..., 2), right and down in a view's directions, in those of the view that it is turned clockwise
-    from."""
+    """Return ways (..., 2), right and down, in the view from which theirs is turned clockwise."""
     cosine, sine = float(np.cos(np.radians(clockwise_deg))), float(np.sin(np.radians(clockwise_deg)))
     right, down = ways[..., 0], ways[..., 1]
     return np.stack([cosine * right - sine * down, sine * right + cosine * down], axis=-1)

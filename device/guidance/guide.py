@@ -241,8 +241,9 @@ class GuideReading:
 
 
 def advise(figures: PressFigures, still_s: float) -> tuple[Advice, str]:
-    """Return what to do about a live frame: one word for programs, one sentence for people. It says "ready" of no press
-    that the verdict would find at fault for the same figures.
+    """Return advice on a live frame: one word for programs, one sentence for people.
+
+    The word is never "ready" for a press that the verdict would find at fault for the same figures.
     """
     fault = next(press_faults(figures), None)
     if fault:
@@ -285,8 +286,10 @@ class ReducedFrame:
 
 
 def downsample_step(shape: tuple[int, int]) -> int:
-    """Return the sensor pixels per pixel of the small image: the smallest even step that leaves at most `MAX_COLUMNS`
-    columns."""
+    """Return the smallest even step at which the small image has at most `MAX_COLUMNS` columns.
+
+    A step counts sensor pixels per pixel of the small image.
+    """
     step = 2
     while shape[1] // step > MAX_COLUMNS:
         step += 2

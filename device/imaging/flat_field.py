@@ -158,8 +158,9 @@ def _bin_band(
 def _summed_columns(
     mosaic: NDArray[np.uint16], factor: int, lane: type[np.uint16 | np.uint32]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return sums over bins of every second row from the first, of even and of odd columns: arrays (H / factor, W /
-    factor).
+    """Return sums over bins of every second row from the first: of even columns, and of odd ones.
+
+    Both arrays have the shape (H / factor, W / factor).
 
     Whole rows are added first, at memory speed. Then a pair of columns is viewed as one integer of twice the bits, so
     that both are added at once; `lane` is wide enough that no sum overflows into its neighbour.
@@ -310,8 +311,9 @@ def can_bin(shape: tuple[int, int]) -> bool:
 
 
 def bin_mosaic(frame: RawFrame) -> RawFrame:
-    """Return the frame at half its size: sums of four pixels of one colour, or their mean where sums would not fit 16
-    bits.
+    """Return the frame at half its size, each pixel the sum of four pixels of one colour.
+
+    It is their mean where sums would not fit 16 bits.
 
     Raises
     ------
@@ -334,8 +336,10 @@ def bin_mosaic(frame: RawFrame) -> RawFrame:
 
 
 def unbin_mosaic(frame: RawFrame) -> RawFrame:
-    """Return a frame of twice the size in which all four pixels of one colour in a 4x4 block are alike, as `bin_mosaic`
-    took them together: a calibration of full-size frames reads it.
+    """Return a frame of twice the size whose pixels repeat those of a binned mosaic.
+
+    All four pixels of one colour in a 4x4 block are alike, as `bin_mosaic` took them together. A calibration of
+    full-size frames reads such a frame.
     """
     rows, columns = frame.shape
     blocks = frame.mosaic.reshape(rows // 2, 1, 2, columns // 2, 1, 2)

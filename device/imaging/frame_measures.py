@@ -108,8 +108,10 @@ class FocusMeter:
 
 
 def focus_figure(frame: RawFrame) -> float:
-    """Return the standard deviation of the fine contrast at the field's centre, per thousand of the mean light; 0 in
-    darkness."""
+    """Return the fine contrast at the field's centre, per thousand of the mean light; 0 in darkness.
+
+    Contrast is a standard deviation here.
+    """
     rows, columns = frame.shape
     down, right = (round(size * (1.0 - CENTRE) / 4.0) * 2 for size in (rows, columns))  # even: whole Bayer quads
     centre = np.ascontiguousarray(frame.mosaic[down : rows - down, right : columns - right])

@@ -58,8 +58,10 @@ class MarkPattern:
 
     @classmethod
     def of(cls, reference: LinearFrame) -> MarkPattern | None:
-        """Return the pattern that untouched skin shows: many marks, of one size, evenly spaced; None where it shows
-        none."""
+        """Return the pattern of marks that untouched skin shows; None where it shows none.
+
+        A pattern consists of many marks, of one size, evenly spaced.
+        """
         rows, columns = reference.shape
         shorter = min(rows, columns)
         factor = max(1, int(SMALLEST * shorter / REDUCED_PX))

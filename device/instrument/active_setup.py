@@ -69,8 +69,10 @@ class ActiveSetup:
         return self._scanner
 
     def scans_left(self) -> int | None:
-        """Return the number of scans that still fit, or will once a press makes room; None if unknown. Nothing is
-        removed."""
+        """Return the number of scans that fit, or that will once a press makes room; None if unknown.
+
+        Nothing is removed.
+        """
         with suppress(DeviceError, HalError):
             return self.scanner().scans_promised(self._states.state.settings.capture)
         return None

@@ -146,8 +146,9 @@ class LiveLoop:
         return PERIOD_S if waits and not self.is_asleep() else UNSEEN_PERIOD_S
 
     def is_asleep(self) -> bool:
-        """Return whether the lights are off because nothing has happened for a while: the next push only switches them
-        on.
+        """Return whether the lights are off because nothing has happened for a while.
+
+        The next push then only switches them on.
         """
         return self._hardware.clock.monotonic_ns() - self._awake_ns > SLEEP_AFTER_S * 1e9
 

@@ -116,8 +116,13 @@ class LastScan:
 
 @dataclass(frozen=True, slots=True)
 class CheckState:
-    """The check standard (None: none was entered), its checks with the active calibration, oldest first, whether
-    today's is due, and whether the next press is one."""
+    """The check standard and its checks.
+
+    standard : None where none was entered
+    checks : with the active calibration, oldest first
+    is_due : today's check is due
+    is_next : the next press is a check
+    """
 
     standard: CheckStandard | None = None
     checks: tuple[CheckRecord, ...] = ()
@@ -196,8 +201,12 @@ class NextLight:
 
 @dataclass(frozen=True, slots=True)
 class PairingState:
-    """The pairing window: the code to compare with the workstation's, empty while none calls, and its end (ns of the
-    instrument's clock), or how it ended."""
+    """The pairing window, open or past.
+
+    code : to compare with the workstation's; empty while none calls
+    open_until_ns : end of the window by the instrument's clock
+    sentence : what to do now, or how the window ended
+    """
 
     code: str
     open_until_ns: int

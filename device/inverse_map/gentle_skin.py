@@ -2,8 +2,8 @@
 
 A matt skin of slope g shows, divided by its reference, I √(1 + |g|²) = 1 + a·g, where a is the light's direction;
 real coats add squares and cubes of g. All of them are polynomials in position under a point over a plane. Where the
-reference is dark for another reason than that lights stand low, they change with it, and what is a polynomial is each
-of them times the reference's light: balls that are left out tell which.
+reference is dark for another reason than that lights stand low, they change with it, and each of them times the
+reference's light is a polynomial instead: held-out balls decide.
 
 Balls show slopes of a few degrees on a hundredth of their area, and nothing between them. What this predicts there
 anchors the curves of the inverse map (see `device.calibration.candidates`).
@@ -66,7 +66,7 @@ class GentleSkin:
     def of(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap | None = None
     ) -> GentleSkin:
-        """Return what gentle slopes, float64 array of shape (N, 2), of a full-size field (H, W) show.
+        """Return the model of the gentle slopes among slopes (N, 2) of a full-size field of `shape` (H, W).
 
         Where no slope is gentle every coefficient is zero: slopes show nothing.
         """
@@ -78,7 +78,7 @@ class GentleSkin:
     def best(
         cls, samples: BallSamples, slope: Float64Array, shape: tuple[int, int], light: IlluminationMap
     ) -> GentleSkin:
-        """Return the same, divided by `light` where balls that are left out are predicted clearly better so."""
+        """Return that model, divided by `light` where this predicts held-out balls clearly better."""
         plain, lit = (_Equations.of(samples, slope, shape, over).held_out_error() for over in (None, light))
         return cls.of(samples, slope, shape, light if lit < LIT_GAIN * plain else None)
 
@@ -141,8 +141,10 @@ class _Equations:
         return np.asarray(np.linalg.lstsq(gram + np.diag(self.price), moment, rcond=None)[0])
 
     def noise(self, known: Float64Array) -> Float64Array:
-        """Return the standard deviation by channel of what coefficients (F, 3) leave of intensity; 0 without gentle
-        slopes."""
+        """Return the standard deviation by channel of what the model leaves of intensity; 0 without gentle slopes.
+
+        known : coefficients of the model, shape (F, 3)
+        """
         if not len(self.ball):
             return np.zeros(3)
         left = (self.lit - self.features @ known) / np.maximum(self.light, MIN_LIGHT)

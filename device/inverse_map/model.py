@@ -254,8 +254,10 @@ def _slope_nodes(arrays: Mapping[str, NDArray[Any]], name: str) -> Float32Array 
 
 
 def rest_likeness(intensity: Float32Array) -> Float32Array:
-    """Return how much intensities (..., 3) look like untouched skin: 1 at intensity 1, a quarter at `REST_WIDTH` from
-    it."""
+    """Return the likeness of intensities (..., 3) to untouched skin, from 0 to 1.
+
+    It is 1 at intensity 1, and a quarter at `REST_WIDTH` from it.
+    """
     apart = ((intensity - np.float32(1.0)) ** 2).sum(axis=-1) * np.float32(1.0 / REST_WIDTH**2)
     return np.asarray(np.float32(1.0) / (np.float32(1.0) + apart) ** 2, np.float32)
 

@@ -104,8 +104,7 @@ class NearLightModel:
         return self.seen(values.reshape(-1, 3), place.astype(np.float64)).reshape(values.shape)
 
     def by_powers(self) -> Float32Array:
-        """Return directions by component, channel, and powers of column and row position: float32 array (2, 3, 4,
-        4)."""
+        """Return directions by component, channel, and power of column and of row: float32 (2, 3, 4, 4)."""
         powers = PLACE_DEGREE + 1
         table = np.zeros((2, 3, powers, powers), np.float32)
         for term, (i, j) in enumerate(position_exponents(self.degree)):
@@ -204,8 +203,10 @@ class IlluminationMap:
         return np.asarray(intensity * self.at(place), np.float32)
 
     def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the light of whole rows of intensities (h, w, 3) at position variables `across` (w,) and `down`
-        (h,)."""
+        """Return the light of whole rows of intensities (h, w, 3).
+
+        across, down : position variables of the columns (w,) and rows (h,)
+        """
         return np.asarray(values * self.rows(across, down), np.float32)
 
     def rows(self, across: Float32Array, down: Float32Array) -> Float32Array:
@@ -226,14 +227,18 @@ class IlluminationMap:
 
 
 def is_node_grid(nodes: Float32Array, values: int) -> bool:
-    """Return True if an array can be read between nodes: finite, so many values at each of two or more places a
-    side."""
+    """Return True if values can be interpolated between an array's nodes.
+
+    It is finite, with two or more nodes along either side, and so many values at each.
+    """
     return nodes.ndim == 3 and nodes.shape[2] == values and min(nodes.shape[:2]) >= 2 and bool(np.isfinite(nodes).all())
 
 
 def between_nodes(nodes: Float32Array, place: NDArray[Any]) -> Float32Array:
-    """Return values (N, C) at position variables (N, 2) of what `nodes`, (h, w, C), hold at places even over the
-    field."""
+    """Return values (N, C) interpolated between `nodes` (h, w, C), which are even over the field.
+
+    place : position variables (N, 2)
+    """
     (left, right_share), (top, down_share) = (_between(place[:, axis], nodes.shape[1 - axis]) for axis in (0, 1))
     upper = _mix(nodes[top, left], nodes[top, left + 1], right_share)
     lower = _mix(nodes[top + 1, left], nodes[top + 1, left + 1], right_share)

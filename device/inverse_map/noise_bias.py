@@ -69,8 +69,10 @@ def measure_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage
 def _noise_at_places(
     inverse_map: InverseMap, frames: Sequence[NormalizedImage]
 ) -> tuple[Float32Array, Float64Array, NDArray[np.intp], tuple[int, int]]:
-    """Return the noise (N, 3) at position variables (N, 2), the cell of each, and how many cells down and across there
-    are."""
+    """Return pixel noise (N, 3) at random position variables (N, 2), and the cell of each.
+
+    The last value is the number of cells down and across.
+    """
     rows, columns = inverse_map.shape
     across = min(CELLS_ACROSS, columns)
     cells = max(round(across * rows / columns), 1), across

@@ -76,8 +76,10 @@ def _steps(degree: int, variables: int) -> list[tuple[int, int]]:
 
 
 def field_position(column: NDArray[Any], row: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """Return the position variables (N, 2), -1 to 1 over a field of `shape` (H, W), from full-size pixel
-    coordinates."""
+    """Return the position variables (N, 2) of full-size pixel coordinates: -1 to 1 over the field.
+
+    shape : of the field, (H, W)
+    """
     rows, columns = shape
     return np.stack([(2.0 * column + 1.0) / columns - 1.0, (2.0 * row + 1.0) / rows - 1.0], axis=-1)
 
@@ -200,8 +202,10 @@ class FeatureScaler:
         return 0.5 * float(self.scale.mean())
 
     def variables(self, colours: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Return the polynomial variables (..., 3), and how far (...) each colour lay outside the range, standard
-        deviations."""
+        """Return the polynomial variables (..., 3), and the distance (...) of each colour from the range.
+
+        The distance is in standard deviations, 0 within the range.
+        """
         seen = colours if self.linear else log_intensity(colours)
         clipped = np.clip(seen, self.low, self.high)
         excess = np.abs(seen - clipped).max(axis=-1) / np.float32(self.spread)

@@ -361,9 +361,9 @@ def _smoothed(values: Float64Array) -> Float64Array:
 
 
 def _robust_covariance(left: Float32Array, weight: Float64Array, free: MaskArray, floor: Float64Array) -> Float32Array:
-    """Return the covariance (h, w, 3, 3) of what gains and offsets leave of N presses (N, h, w, 3), smooth over the
-    field.
+    """Return the covariance (h, w, 3, 3) of the presses' noise, smooth over the field.
 
+    left : what gains and offsets leave of N presses, shape (N, h, w, 3)
     weight : of the presses' cells, shape (N, h, w)
     floor : least variance, shape (h, w, 3)
     """
@@ -378,8 +378,7 @@ def _robust_covariance(left: Float32Array, weight: Float64Array, free: MaskArray
 
 
 def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
-    """Return the median over presses of the variance within free cells, shape (h, w, 3); of all free cells where none
-    shows it."""
+    """Return the median variance of each cell where it is free, shape (h, w, 3), else of all free cells."""
     shown = np.where(free[..., None], variances, np.nan)
     everywhere = np.nanmedian(shown.reshape(-1, 3), axis=0)
     seen = free.sum(axis=0) >= MIN_PRESSES

@@ -141,8 +141,10 @@ class TabulatedInverseMap:
         return total
 
     def _trust(self, image: NormalizedImage, outside: MaskArray) -> tuple[MaskArray, Float32Array]:
-        """Return the validity and confidence; only the outermost bins and beyond can lie outside the calibrated
-        colours."""
+        """Return the validity and the confidence of every pixel.
+
+        Only colours in the outermost bins and beyond can lie outside the calibrated ones.
+        """
         valid = image.valid.copy()
         weight = np.where(image.clipped, np.float32(CLIPPED_CONFIDENCE), np.float32(1.0))
         if outside.any():

@@ -108,8 +108,9 @@ class Leverage:
         return cls(root.astype(np.float32), float(np.percentile(balls, TRAINED_PERCENT)))
 
     def relative(self, curve: FeatureRegressor, colours: Float32Array, place: Float64Array) -> Float64Array:
-        """Return the leverage (N,) of colours (N, 3) at position variables (N, 2), in units of the highest of the
-        training pixels.
+        """Return the leverage (N,) of colours (N, 3) over the highest of the training pixels.
+
+        place : position variables (N, 2)
         """
         design = curve.design(colours, place)
         return np.asarray(((design.astype(np.float32) @ self.root) ** 2).sum(axis=1) / self.trained, np.float64)

@@ -22,8 +22,13 @@ FaultKind = Literal["too dark", "lights", "too bright", "press", "press more", "
 
 @dataclass(frozen=True, slots=True)
 class PressFault:
-    """One fault: the word for programs, what it makes of a scan, a sentence that says what to do, and a shorter one for
-    the live picture if there is one."""
+    """One fault of a press.
+
+    kind : word for programs
+    level : verdict that the fault makes of a scan
+    sentence : what to do, for people
+    cue : a shorter sentence for the live picture, empty where there is none
+    """
 
     kind: FaultKind
     level: VerdictLevel

@@ -132,8 +132,7 @@ class ReferenceModel:
         return _region(ratio, agreeing)
 
     def lights_beside_press(self, intensity: NormalizedImage, shares: LightShares) -> Levels | None:
-        """Return levels of the lights on the untouched skin beside an object, if they are as calibrated; None if
-        unknown."""
+        """Return the light levels of untouched skin beside an object; None if unknown or not as calibrated."""
         mean, spread = _blocks(intensity.values)
         levels = shares.levels(mean / self.mean)
         if (np.abs(levels - 1.0).max(axis=-1) > STEEP_CHANGE).mean() < STEEP_FRACTION:
@@ -227,8 +226,7 @@ def block_means(values: Float32Array) -> Float32Array:
 
 
 def _contrast(values: Float32Array) -> Float32Array:
-    """Return the contrast of each spot to its surroundings by channel: float32 array of shape (H, W, 3), 0 where there
-    is none."""
+    """Return each spot's contrast to its surroundings by channel: float32 (H, W, 3), 0 where there is none."""
     margin = round(3.0 * SURROUNDINGS_PX)
     # Odd reflection continues a gradient of the light beyond the border, where plain reflection would bend it.
     padded = np.pad(values, ((margin, margin), (margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
@@ -314,8 +312,10 @@ _DARK: Final = 1e-3
 
 
 def reference_fault(reference: LinearFrame) -> str:
-    """Return why a frame cannot be of clean, untouched skin; empty if it can. A smooth object over the whole field
-    can."""
+    """Return why a frame cannot be of clean, untouched skin; empty if it can.
+
+    A frame of a smooth object over the whole field can.
+    """
     defects = float(gel_defects(reference).mean())
     uneven = _deviation_from_smooth(block_means(reference.rgb))
     if uneven > MAX_UNEVEN:
@@ -326,8 +326,9 @@ def reference_fault(reference: LinearFrame) -> str:
 
 
 def changed_shape(reference: LinearFrame, last: LinearFrame) -> float:
-    """Return how much the light's shape over the field differs from the last reference's, relative, lights' levels
-    removed.
+    """Return the relative change of the light's shape over the field since the last reference.
+
+    The lights' levels are taken out.
     """
     ratio = block_means(reference.rgb) / np.maximum(block_means(last.rgb), np.float32(_DARK))
     ratio /= np.median(ratio, axis=(0, 1))

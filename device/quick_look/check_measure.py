@@ -94,8 +94,10 @@ def _measured(kind: StandardKind, look: QuickLook, bias: BallBias | None) -> flo
 
 
 def read_ball(slopes: GradientField, height: HeightMap) -> BallReading:
-    """Return the pressed ball as the quick look shows it: sine of slope grows with the distance from its top as 1 /
-    R."""
+    """Return radius and height of the pressed ball as the quick look shows it.
+
+    The sine of the slope grows with the distance from the ball's top as 1 / R.
+    """
     steep = 1.0 / np.sqrt(1.0 + slopes.p.astype(np.float64) ** 2 + slopes.q.astype(np.float64) ** 2)
     across, down = slopes.p * steep, slopes.q * steep
     row, column = np.unravel_index(int(np.argmax(_smooth(height.z_um))), height.z_um.shape)
@@ -240,8 +242,10 @@ class BallBias:
 
 
 def shading(lights_mm: Sequence[PositionMm], height_um: float) -> float:
-    """Return how much more skin at a height shows of its slopes than untouched skin, in the middle of the field, mean
-    of the lights: the inverse cube of their distance. At most half a light's height counts.
+    """Return the factor by which skin at a height shows more of its slopes than untouched skin.
+
+    It is the inverse cube of the distance from a light to the field's middle, mean of the lights. At most half a
+    light's height counts.
     """
     found = []
     for x, y, z in lights_mm:

@@ -196,8 +196,10 @@ def _of_profile(heights: Float64Array, sections: int, cutoff_um: float | None, f
 
 
 def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -> tuple[float | None, float | None]:
-    """Return standard uncertainties of mean and total height: scatter of the sections, and the same number of height
-    errors alone, for errors of long waves may agree with the surface.
+    """Return the standard uncertainties of mean and total height, µm; None without a flatness.
+
+    Each combines the scatter of the sections with what height errors alone would show, for errors of long waves may
+    agree with the surface.
 
     means, spans : of each section, µm
     """
@@ -211,10 +213,9 @@ def _sigmas(means: list[float], spans: list[float], flatness_um: float | None) -
 
 
 def _at(height: HeightMap, point: Point) -> tuple[float, float]:
-    """Return the height of the pixel at a point, and its noise: standard deviation of the pixels around it about their
-    plane, µm.
+    """Return the height of the pixel at a point and its noise, µm; NaN where it is not valid.
 
-    NaN where the pixel is not valid.
+    The noise is the standard deviation of the pixels around it about their plane.
     """
     row, column = round(point[0]), round(point[1])
     part = height.z_um[

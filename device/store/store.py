@@ -120,8 +120,9 @@ class BundleStore:
         return datetime.fromtimestamp(self._clock.wall_time_s(), UTC).replace(microsecond=0)
 
     def publish_scan(self, record: ScanRecord, write: FileWriter) -> ScanBundle:
-        """Return the published scan. `write` puts the bundle's files into the directory it is given, without
-        subfolders.
+        """Publish a scan and return it.
+
+        write : puts the bundle's files into the directory it is given, without subfolders
 
         Raises
         ------
@@ -208,8 +209,9 @@ class BundleStore:
         return min(self._room_bytes() // bytes_per_scan, free_entries(self.root, self._statvfs) // ENTRIES_PER_SCAN)
 
     def scans_left_after_removal(self, bytes_per_scan: int) -> int:
-        """Return how many more scans of that size (bytes) fit once `make_room` has removed all it may; nothing is
-        removed.
+        """Return how many more scans of this size fit once `make_room` has removed all it may.
+
+        Nothing is removed here.
 
         Raises
         ------

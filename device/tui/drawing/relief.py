@@ -126,8 +126,10 @@ def _bar(fraction: Float32Array, depth: ColourDepth) -> CellGrid:
 
 
 def length_bar(pitch_um: float, columns: int) -> str:
-    """Return a bar of a round length with its label, such as "├───┤ 2 mm"; `pitch_um` is the distance of the
-    columns."""
+    """Return a bar of a round length with its label, such as "├───┤ 2 mm"; empty in few columns.
+
+    pitch_um : distance of neighbouring columns
+    """
     if columns < 16:
         return ""
     length_um = round_down(pitch_um * columns / 3.0)
@@ -226,8 +228,9 @@ def reading(height: HeightMap, cursor: ProfileCursor, origin: tuple[int, int] = 
 
 
 def profile_cells(profile: Float32Array, point: float, rows: int, columns: int, depth: ColourDepth) -> CellGrid:
-    """Return a profile as `columns` bars above its lowest height, with its range in µm at the right and its point
-    below.
+    """Return a profile as `columns` bars above its lowest height.
+
+    Its range in µm stands at the right, its point below.
 
     profile : float32 array of shape (n,), µm
     point : position of the cursor's point, 0 to 1

@@ -157,8 +157,10 @@ COVERAGE: Final = 2.0
 
 
 def measure_text(height: HeightMap, first: Point, second: Point, flatness_um: float | None) -> str:
-    """Return the height difference, distance and angle with ±, roughness of the line and of the box between two
-    points."""
+    """Return height difference, distance, angle and roughness between two points, with ±.
+
+    Roughness is that of the line between them and of their box.
+    """
     found = difference(height, first, second, flatness_um)
     has_heights = bool(np.isfinite(found.dz_um))
     dz = f"dz {found.dz_um:.1f}{_pm(found.dz_sigma_um, 1)} µm" if has_heights else "dz unknown: no height at a point"

@@ -127,8 +127,10 @@ CHART_ROWS: Final = 7
 
 
 def check_panel(check: CheckState, columns: int) -> str:
-    """Return the check standard, today's state, and a chart of its checks: one column per check, the certified value in
-    the middle row."""
+    """Return the check standard, today's state, and a chart of its checks.
+
+    The chart has one column per check and the certified value in the middle row.
+    """
     standard = check.standard
     if standard is None:
         return "Enter the certified ball, step or roughness specimen that shows each day that results are right."

@@ -259,8 +259,10 @@ BARS: Final = 7
 
 
 def movie_text(movie: MovieRecord, depth: ColourDepth) -> str:
-    """Return contact and depth over the press with the largest value of each, in a line; a frame without one has no
-    bar."""
+    """Return contact and depth over the press in one line, with the largest value of each.
+
+    A frame without a value has no bar.
+    """
     time_ms = np.array([frame.at_ms for frame in movie.frames])
     contact = np.array([frame.contact_fraction for frame in movie.frames], np.float64)
     depth_um = np.array([frame.depth_um for frame in movie.frames], np.float64)
@@ -308,8 +310,7 @@ def scan_line(entry: ScanEntry) -> str:
 
 
 def details_of(entry: ScanEntry, depth: ColourDepth) -> str:
-    """Return the verdict, annotations, time, offload state and note of a scan, and the press over time where it is a
-    movie."""
+    """Return verdict, annotations, time, offload state, note and movie of a scan as lines of text."""
     sent = "verified on a workstation" if entry.offloaded else "not offloaded"
     replaced = f" · replaced by #{entry.replaced_by}" if entry.replaced_by is not None else ""
     note = f"\nNote: {entry.mark.note}" if entry.mark and entry.mark.note else ""
