@@ -65,8 +65,9 @@ def _is_blank(line: str) -> bool:
 
 
 def _whole(rows: csv.DictReader[str], lines: Sequence[str]) -> Iterator[dict[str, str]]:
-    """Yield the rows, none of which holds more than names; a decimal comma would else cut a number where commas
-    separate.
+    """Yield the rows, none of which may hold more cells than there are names.
+
+    A decimal comma would else cut a number where commas separate.
 
     lines : of the table; a quotation mark that is left open reaches to the last one
     """

@@ -86,8 +86,10 @@ def usable_cores() -> int:
 
 
 def usable_memory(proc: Path = PROC, cgroups: Path = CGROUPS) -> int | None:
-    """Return bytes that this process and its children can take: what is available on the computer, less where a service
-    or container is confined. None where the system does not say.
+    """Return the bytes of memory that this process and its children can take.
+
+    It is what is available on the computer, or what a service or container has left if that is less. None where the
+    system does not state it.
     """
     bounds = [*_available(proc), *_left_in_groups(proc, cgroups)]
     return max(min(bounds), 0) if bounds else None

@@ -113,8 +113,9 @@ class LibraryWatch:
         self._failed: dict[str, tuple[frozenset[str], _Stamp]] = {}
 
     def look(self) -> Iterator[ScanOutcome]:
-        """Return what becomes of every scan that is new now; a folder among them is that of the results, which were
-        measured.
+        """Yield the outcome of every scan that is new now.
+
+        The folder of an outcome is that of the results, which were measured.
 
         Raises
         ------

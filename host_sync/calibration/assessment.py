@@ -90,8 +90,10 @@ def assess(
 
 
 def diameter_note(widest: float) -> list[str]:
-    """Return the question whether a diameter was given as the radius, where no contact is wider than this fraction of
-    it."""
+    """Return the question whether a diameter was given as the radius; empty where a contact is wide enough.
+
+    widest : of the contacts, as a fraction of the radius
+    """
     if widest > DIAMETER_CONTACT:
         return []
     return [

@@ -133,8 +133,9 @@ def check_distinct(presses: Sequence[PressFrame]) -> None:
 
 
 def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:
-    """Return a press with its balls as given, or found when none are given; what cannot be used for training is listed
-    with the reason.
+    """Return a press with its balls as given, or found where none are given.
+
+    What cannot be used for training is listed with the reason.
 
     Raises
     ------
@@ -190,10 +191,10 @@ def without_balls(press: UsedPress, out: Sequence[bool] | MaskArray, reason: str
 
 
 def relocate_labels(press: UsedPress) -> UsedPress:
-    """Return the press with each labelled ball moved to the one that is seen there, its contact not larger; others
-    stay.
+    """Return the press with each labelled ball moved to the one that is seen there.
 
-    A label at which nothing is seen is used as it was set: whether it is right is for held-out balls to say.
+    Its contact does not grow. A label at which nothing is seen is used as it was set: held-out balls decide whether it
+    is right.
     """
     found = _as_wide_as_labels_say(press)
     return replace(press, balls=tuple(_nearest(ball, found) for ball in press.balls))

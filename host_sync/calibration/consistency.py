@@ -144,8 +144,7 @@ def check_consistency(blocks: Sequence[Float64Array], reference: bool) -> Float6
 
 
 def _steps_between_nearest(apart: Float64Array) -> list[float]:
-    """Return the steps, shortest first, by which all frames are reached from any of them when each is to the
-    nearest."""
+    """Return the lengths of the minimum spanning tree of the frames (Prim's algorithm), shortest first."""
     nearest, steps = apart[0].copy(), []
     reached = np.zeros(len(apart), np.bool_)
     reached[0] = True

@@ -50,8 +50,11 @@ class CalibrationFrames:
     marks: MarkPattern | None = None
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
-        """Return the same without one ball; the other balls are those of a calibration that was made from all of
-        them."""
+        """Return the frames without one ball.
+
+        calibration : made from all of the frames; states the other balls
+        held : ball of the press number `press` that is left out
+        """
         presses = []
         for number, (frame, used) in enumerate(zip(self.presses, calibration.presses, strict=True)):
             balls = tuple(
@@ -114,8 +117,9 @@ def calibrate_lights(
     lights_mm: Sequence[Position] = (),
     pupil_height_mm: float | None = None,
 ) -> Calibration:
-    """Return the calibration of frames of three to eight lights; arguments and errors as of `calibrate`, which does
-    three.
+    """Return the calibration of frames of three to eight lights.
+
+    Arguments and errors are those of `calibrate`, which takes three lights.
 
     light_names : of the lights, for messages; numbers where there are none
     """

@@ -77,8 +77,10 @@ class BallLattice:
         return float(np.hypot(*(around[1:] - around[0]).T).mean())
 
     def missing(self) -> NDArray[np.intp]:
-        """Return places among those taken, their bounding rectangle and one step around it, that no ball takes: (K,
-        2)."""
+        """Return the places among and around the taken ones that no ball takes: int array of shape (K, 2).
+
+        They lie within the bounding rectangle of the taken places and one step around it.
+        """
         taken = self.index[self.on]
         low, high = taken.min(axis=0) - 1, taken.max(axis=0) + 1
         every = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), axis=-1)
@@ -107,8 +109,7 @@ def find_lattice(points: Float64Array) -> BallLattice | None:
 
 
 def _seeds(points: Float64Array) -> Iterator[tuple[int, Float64Array]]:
-    """Yield balls near the middle of all, each with pairs of steps, (2, 2), to its neighbours that may span a
-    lattice."""
+    """Yield balls near the middle of all, each with two steps (2, 2) to neighbours that may span a lattice."""
     central = np.argsort(np.hypot(*(points - np.median(points, axis=0)).T))[:SEEDS]
     for seed in central:
         steps = points - points[seed]
@@ -146,8 +147,10 @@ def _grown(points: Float64Array, seed: int, basis: Float64Array) -> dict[tuple[i
 
 
 def _completed(points: Float64Array, grown: dict[tuple[int, int], int]) -> BallLattice | None:
-    """Return the lattice of the grown part, continued over gaps, outliers taken out; None when too few balls hold it
-    up."""
+    """Return the grown lattice, continued over gaps and without outliers.
+
+    None where too few balls support it, or no camera would show it so.
+    """
     index = np.zeros((len(points), 2), np.intp)
     on = np.zeros(len(points), np.bool_)
     for place, number in grown.items():
@@ -201,8 +204,10 @@ def _one_a_place(index: NDArray[np.intp], stray: Float64Array, near: MaskArray) 
 
 
 def _taken_share(lattice: BallLattice) -> float:
-    """Return balls of the lattice over its places inside their convex hull, which holds area plus half of its
-    border."""
+    """Return the fraction of the places inside the lattice's convex hull that balls take.
+
+    By Pick's theorem a hull holds as many places as its area, half of its border, and one.
+    """
     places = lattice.index[lattice.on].astype(np.float32)
     hull = cv2.convexHull(places)
     around = np.abs(np.diff(np.concatenate([hull, hull[:1]])[:, 0], axis=0)).astype(int)
@@ -211,8 +216,7 @@ def _taken_share(lattice: BallLattice) -> float:
 
 
 def _upright(lattice: BallLattice) -> BallLattice:
-    """Return the same lattice, counted from its middle ball, its first axis along growing columns, its second along
-    rows."""
+    """Return the lattice counted from its middle ball, first axis along columns and second along rows."""
     taken = lattice.index[lattice.on]
     middle = taken[np.argmin(np.hypot(*(taken - np.median(taken, axis=0)).T))]
     jacobian = (lattice.pixels(middle + np.array([[1.0, 0.0], [0.0, 1.0]])) - lattice.pixels(middle[None])).T

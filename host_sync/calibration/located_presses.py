@@ -56,8 +56,7 @@ def locate_usable(press: PressFrame, flat_field: Float32Array) -> UsedPress:
 def locate_all(
     presses: Sequence[PressFrame], flat_field: Float32Array, stated_um: float, reference: LinearFrame | None
 ) -> tuple[Sequence[UsedPress], PixelPitch | None]:
-    """Return the presses with the balls that may be used for training, and the pixel pitch that grids among them
-    measure.
+    """Return the presses with the balls for training, and the pixel pitch that grids among them measure.
 
     stated_um : the pixel pitch as stated
 
@@ -253,8 +252,10 @@ def _stray(lattice: BallLattice, ball: RejectedBall) -> float:
 def _unseen(
     lattice: BallLattice, seen: BallSearch, shape: tuple[int, int], radius_px: float
 ) -> list[tuple[float, float]]:
-    """Return places (column, row) of the lattice that the frame could show and where nothing, good or rejected, is
-    seen."""
+    """Return lattice places (column, row) that the frame could show and where nothing is seen.
+
+    A rejected ball counts as seen.
+    """
     missing = lattice.missing()
     if not len(missing):
         return []

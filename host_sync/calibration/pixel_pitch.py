@@ -257,10 +257,10 @@ def _preferred(models: Sequence[PoseModel], errors: dict[PoseModel, Float64Array
 def _held_out_errors(
     model: PoseModel, places: Float64Array, points: Float64Array, shape: tuple[int, int]
 ) -> Float64Array:
-    """Return the mean over both axes of the squared distance (px²) of each ball from where the others put it, shape
-    (N,).
+    """Return the squared distance (px²) of each ball from where the others put it, shape (N,).
 
-    Errors beyond `HUBER` times the median distance are cut there: one bad ball does not choose the model.
+    It is the mean over both axes. Errors beyond `HUBER` times the median distance are cut there: one bad ball does not
+    choose the model.
     """
     fold = np.arange(len(points)) % min(FOLDS, len(points))
     square = np.zeros(len(points))

@@ -64,8 +64,10 @@ def radius_shares(samples: BallSamples, inverse_map: InverseMap) -> Float64Array
 
 
 def radius_spread(shares: Float64Array) -> float:
-    """Return relative spread of radii: one or two lights show all slopes too flat, which is no disagreement among
-    balls."""
+    """Return the standard deviation of the radii over their median.
+
+    One or two lights show all slopes too flat, which is no disagreement among balls.
+    """
     return float(np.nanstd(shares) / np.nanmedian(shares))
 
 
@@ -242,11 +244,11 @@ says nothing."""
 def fit_to_best_balls(
     presses: Sequence[PressFrame], located: Sequence[UsedPress], light: IlluminationMap | None
 ) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
-    """Return the inverse map; where a hand labelled balls, fitted to the balls and centres that held-out labelled ones
-    prefer.
+    """Return the inverse map, with the balls and the centres that it is fitted to.
 
-    Balls that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut
-    to their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
+    Where a hand labelled balls, those are taken that held-out labelled ones prefer. Balls that no label has count where
+    they make the labelled ones' held-out error smaller. Labelled contacts are cut to their core where that makes the
+    core's own held-out error smaller, and not by leaving balls aside.
 
     light : of untouched skin, None where no reference shows it
     """
@@ -278,10 +280,10 @@ def fit_to_best_balls(
 def fit_to_cores(
     cut: Sequence[UsedPress], whole: BegunFit, light: IlluminationMap | None
 ) -> tuple[BegunFit, Sequence[UsedPress]] | None:
-    """Return the inverse map of presses whose contacts were cut to their core; None where held-out balls prefer the
-    whole.
+    """Return the inverse map of presses whose contacts were cut to their core.
 
-    The error of the core alone decides, and not one that is smaller because balls were left aside.
+    None where held-out balls prefer the whole. The error of the core alone decides, and not one that is smaller because
+    balls were left aside.
     """
     begun = fit_to(cut, light)
     core_deg, kept = begun.fit.held_out_deg, begun.fit.kept.sum()

@@ -66,8 +66,10 @@ def scale_uncertainty(
 
 
 def with_stated_pitch(scale: ScaleUncertainty, pitch_um: float, tolerance: float) -> ScaleUncertainty:
-    """Return the scale's uncertainty with a pixel pitch that lies within ± a fraction `tolerance`; a measured one is
-    kept."""
+    """Return the scale's uncertainty with that of a stated pixel pitch; a measured pitch is kept.
+
+    tolerance : fraction, ±, within which the stated pitch lies
+    """
     if scale.pixel_pitch_share is not None:
         return scale
     share = RECTANGLE * tolerance

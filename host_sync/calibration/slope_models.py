@@ -289,11 +289,10 @@ def with_free_skin(inverse_map: InverseMap, pressed: Pressed) -> InverseMap:
 
 
 def free_skin_slopes(inverse_map: InverseMap, pressed: Pressed, shape: tuple[int, int]) -> Float32Array:
-    """Return slopes that presses agree on where their skin is free, at nodes even over the field: float32 array (h, w,
-    2).
+    """Return the slopes that presses agree on where their skin is free, float32 array (h, w, 2).
 
-    Each node's median over presses is reduced by the share of its square that is noise; 0 where fewer than
-    `MIN_PRESSES` show free skin.
+    Nodes are even over the field. Each node's median over presses is reduced by the share of its square that is noise;
+    0 where fewer than `MIN_PRESSES` show free skin.
     """
     parts = [_at_nodes(inverse_map, image, balls, shape) for image, balls in pressed if balls]
     if len(parts) < MIN_PRESSES:
@@ -315,8 +314,10 @@ def free_skin_slopes(inverse_map: InverseMap, pressed: Pressed, shape: tuple[int
 def _at_nodes(
     inverse_map: InverseMap, image: NormalizedImage, balls: Sequence[Ball], shape: tuple[int, int]
 ) -> Float64Array:
-    """Return the mean slopes of a press's free skin around each node, float64 array (h, w, 2), NaN where there is too
-    little."""
+    """Return the mean slopes of a press's free skin around each node, float64 array (h, w, 2).
+
+    NaN where there is too little free skin.
+    """
     rows, columns = image.shape
     step = max(int(np.ceil(np.sqrt(rows * columns / MAX_CELLS))), 1)
     read = cell_slopes(image, inverse_map, step)

@@ -140,8 +140,10 @@ _AMBIGUITY_CAPTION: Final = (
 
 
 def ambiguity_figure(model: PaperModel) -> Figure:
-    """Return the density of the balls' colours in (a*, b*), the slopes of the most ambiguous bin, and candidates per
-    bin."""
+    """Return the figure of the balls' colours, the most ambiguous bin, and the candidates per bin.
+
+    It shows the density of the colours in (a*, b*), and the slopes of the bin.
+    """
     figure = Figure(figsize=(15.5, 5.9), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.7))
     _draw_density(left, model.maps)

@@ -78,8 +78,9 @@ def write_certificate(certificate: Certificate, out: Path) -> list[Path]:
 def check_specimen(
     path: Path, specimen: SpecimenFile, calibration: Calibration, form: FrameSpec, out: Path, tell: Tell
 ) -> CheckedSpecimen:
-    """Reconstruct and measure every scan of a specimen; a scan that fails or copies an earlier one is named in its
-    result.
+    """Reconstruct and measure every scan of a specimen, and judge the values.
+
+    A scan that fails or copies an earlier one is named in the specimen's result.
 
     form : of its images, which are not named in it
     """

@@ -1,6 +1,6 @@
 """Metrological characteristics of an instrument as ISO 25178-600 names and ISO 25178-700 measures them.
 
-A characteristic that the given specimens cannot tell is named with the specimen that it would take: never a zero.
+A characteristic that the given specimens cannot show is named with the specimen that it would take: never a zero.
 """
 
 from __future__ import annotations
@@ -167,8 +167,10 @@ def _edge_width_um(specimen: SpecimenFile, surface: ResultSurface) -> float | No
 
 
 def _crossing_width(along: Float64Array, share: Float64Array) -> float | None:
-    """Return the distance between the places where a profile, 0 to 1, passes both levels about the steepest half-way
-    crossing."""
+    """Return the width of the steepest half-way crossing of a profile, 0 to 1; None without one.
+
+    It is the distance between the places where the profile passes both `EDGE_LEVELS`.
+    """
     half = np.flatnonzero(np.diff(share > 0.5))
     if not half.size:
         return None

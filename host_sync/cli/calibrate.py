@@ -157,8 +157,7 @@ def calibrator_for(
 
 
 def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bool = False) -> KeptCalibration:
-    """Return the calibration of that name: a file of `retrosync calibrate`, a frame set, a calibration's folder, or its
-    id.
+    """Return the calibration of that name: a calibration file, a frame set, a folder, or an id.
 
     library : folder of pulled calibrations, of which `name` is an id or its beginning or end
     paper : whether the paper's model is needed

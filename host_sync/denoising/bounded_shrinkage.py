@@ -207,8 +207,10 @@ class TransferBench:
         return np.stack(found)
 
     def _slope_of_colour(self, place: tuple[float, float]) -> Float64Array:
-        """Return factors that turn changes of colour into slopes: float64 array of shape (3, 2), by generalised least
-        squares."""
+        """Return the factors that turn changes of colour into slopes, float64 array of shape (3, 2).
+
+        They are those of generalised least squares.
+        """
         change = self._colour.change(place)
         weighed = np.linalg.solve(self._noise.covariance, change)
         gram = change.T @ weighed
@@ -229,8 +231,10 @@ def _side() -> int:
 
 
 def _width_px(slope: Float64Array) -> float:
-    """Return the width at half height of what a profile of slopes rises to and falls from, summed over fourth-order
-    edges."""
+    """Return the width at half height of the profile that slopes add up to.
+
+    Slopes are summed over fourth-order edges; infinite where a side stays above half.
+    """
     edges = (9.0 * (slope[1:-2] + slope[2:-1]) - (slope[:-3] + slope[3:])) / 16.0
     heights = np.concatenate([[0.0], np.cumsum(edges)])
     heights -= np.linspace(heights[0], heights[-1], len(heights))

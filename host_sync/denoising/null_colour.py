@@ -1,12 +1,12 @@
 """The null colour: the change of three colours that no slope makes, and what noise along it does to slopes.
 
 Colours of a surface lie on a surface of their own: two slopes move them in two directions, noise in three. A map that
-was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So
-what shrinkage took out of a pixel is asked how far it goes along the third direction, and the slope that noise of such
-a colour has on the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel
-by itself. Detail of the surface has nothing along that direction, and stays.
+was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So what
+shrinkage took out of a pixel is measured along the third direction, and the slope that noise of such a colour has on
+the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel by itself.
+Detail of the surface has nothing along that direction, and stays.
 
-Both the direction and what it says are polynomials of first degree in stereographic slope and in place. A matt skin's
+Both the direction and that slope are polynomials of first degree in stereographic slope and in place. A matt skin's
 direction is one, but for a factor: its colours are linear in the normal.
 """
 
@@ -81,8 +81,9 @@ class NullColour:
 
 
 def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: FrameNoise) -> NullColour | None:
-    """Return the null colour of a map, for noise of its frames; None where balls show too little, noise is zero, or
-    slopes would change.
+    """Return the null colour of a map for the noise of its frames.
+
+    None where balls show too little, noise is zero, or slopes would change.
 
     samples : of a calibration's balls, their noise shrunk
     """

@@ -79,8 +79,9 @@ def _angles_deg(
     null_colour: NullColour | None,
     rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Return the standard deviation of the normal's angle, either component, that raw and shrunk noise cause at
-    samples.
+    """Return the standard deviations of the normal's angle that raw and shrunk noise cause at samples.
+
+    They are those of either component.
 
     drawn : float32 arrays of shape (M, 3), both noises of the same pixels
     """
@@ -104,8 +105,10 @@ def _read(
     place: tuple[Float32Array, Float32Array],
     null_colour: NullColour | None,
 ) -> Float64Array:
-    """Return slopes (N, 2) of intensities (N, 3) at columns and rows, less what the null colour shows of their
-    noise."""
+    """Return slopes (N, 2) of intensities (N, 3), less what the null colour shows of their noise.
+
+    place : columns and rows
+    """
     if null_colour is None:
         return inverse_map.predict(seen, *place)
     return null_colour.read(inverse_map, seen, shrunk, *place)

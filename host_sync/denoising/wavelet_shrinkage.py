@@ -107,8 +107,7 @@ def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
 
 
 def directional_energy(energy: Float32Array) -> Float32Array:
-    """Return the largest mean of energy along five pixels in four directions: float32 array of the shape of
-    `energy`."""
+    """Return the largest mean of energy along five pixels in four directions, in the shape of `energy`."""
     best = np.full(energy.shape, MIN_ENERGY, np.float32)
     for down, across in DIRECTIONS:
         total = energy.copy()

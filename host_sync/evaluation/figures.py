@@ -35,8 +35,9 @@ DPI: Final = 130
 def frames_to_draw(
     name: str | None, library: Library | None, calibrator: Calibrator
 ) -> tuple[CalibrationFrames, Calibration]:
-    """Return frames of the frame set at that path, or of a library's calibration (the latest), and the calibration they
-    carry.
+    """Return the frames of a frame set or of a library's calibration, and the calibration they carry.
+
+    name : path of the frame set, or id of the library's calibration; None is its latest one
 
     Raises
     ------

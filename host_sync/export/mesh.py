@@ -52,8 +52,10 @@ class Mesh:
             yield grid[np.isfinite(z)].astype(np.float32)
 
     def normals(self) -> Iterator[Float32Array]:
-        """Yield the unit normals of the vertices in order, float32 arrays of shape (N, 3); slopes beside a hole are
-        one-sided."""
+        """Yield the unit normals of the vertices in order, float32 arrays of shape (N, 3).
+
+        Slopes beside a hole are one-sided.
+        """
         rows = self.z_um.shape[0]
         for first in range(0, rows, ROWS):
             last = min(first + ROWS, rows)

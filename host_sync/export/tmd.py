@@ -51,8 +51,9 @@ def write_tmd(file: BinaryIO, surface: SourceSurface) -> None:
 
 
 def read_tmd(path: Path) -> SourceSurface:
-    """Return the height map of a TMD file of version 2, with the name of the file and the doubts that it was written
-    with.
+    """Return the surface in a TMD file of version 2, with the doubts that it was written with.
+
+    The name of the surface is that of the file.
 
     Raises
     ------
