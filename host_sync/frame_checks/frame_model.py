@@ -74,8 +74,10 @@ class FrameModel:
         return tuple(found)
 
     def check(self, intensity: NormalizedImage, flat_field: Float32Array) -> tuple[FrameCheck, ...]:
-        """Return every check of a frame under the calibration's flat field, in the order in which reasons explain each
-        other."""
+        """Return every check of a frame under the calibration's flat field.
+
+        They are in the order in which reasons explain each other.
+        """
         cells = cell_logs(intensity)
         position, sharpness = self.pattern.check(intensity, flat_field)
         if position.outcome == "refused":

@@ -128,8 +128,7 @@ class LevelModel:
         return beyond / float(np.sqrt(sight.covariance.mean()))
 
     def _is_tilt(self, cells: Float32Array, sight: LevelSight) -> bool:
-        """Return True if levels that are not allowed may come from a flat object that lies tilted under the whole
-        field."""
+        """Return True if levels not allowed may come from a flat object tilted under the whole field."""
         if self.response is None:
             return False
         answer = self.response.terms[0]

@@ -76,8 +76,9 @@ def _starts(size: int, count: int, side: int) -> tuple[int, ...]:
 
 
 def window_light(image: NormalizedImage, flat_field: Float32Array, grid: WindowGrid) -> Float32Array:
-    """Return the log of the light of all channels in the windows, laid side by side: float32 array (rows · side,
-    columns · side).
+    """Return the log of the light of all channels in the windows, laid side by side.
+
+    Float32 array of shape (rows · side, columns · side).
 
     flat_field : float32 array of shape (H, W, 3), what the frame was divided by
     """

@@ -51,8 +51,13 @@ def is_raw_tiff(tiff: tifffile.TiffFile) -> bool:
 
 
 def every_page(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
-    """Return the pages of a TIFF, and after them those inside of pages; ValueError where one leads back to an earlier
-    one."""
+    """Return the pages of a TIFF, and after them those inside of pages.
+
+    Raises
+    ------
+    ValueError
+        A page leads back to an earlier one.
+    """
     pages: dict[int, tifffile.TiffPage] = {}
     for page in tiff.pages:
         if page.offset in pages:

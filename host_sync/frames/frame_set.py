@@ -229,8 +229,10 @@ def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | No
 def _full_scale(
     frames: Sequence[FrameSpec], scans: int, known: dict[Path, ImageInfo], path: Path
 ) -> tuple[int | None, bool]:
-    """Return the count at which frames of 16 bit are saturated, and whether headers state it; the last frames are
-    scans."""
+    """Return the count at which frames of 16 bit are saturated, and whether headers state it.
+
+    scans : number of the last frames, which are scans
+    """
     first_scan = len(frames) - scans
     counted = [*frames[:first_scan], *frames[first_scan :: max(1, scans // COUNTED_SCANS)]]
     images = [image for spec in counted for image in spec.images if known[image].bits == 16 and not known[image].is_raw]
@@ -335,8 +337,10 @@ def check_ball(ball: Ball, shape: tuple[int, int], place: str) -> None:
 
 
 def square_ball(ball: Ball, shape: tuple[int, int], pixel_shape: float) -> Ball:
-    """Return a labelled ball of a frame that is stored with (H, W) `shape`, in square pixels; its contact does not
-    grow."""
+    """Return a labelled ball of a frame in square pixels; its contact does not grow.
+
+    shape : (H, W) of the frame as it is stored
+    """
     column, row = square_place(ball.column, ball.row, shape, pixel_shape)
     contact_px = ball.contact_radius_px * min(pixel_shape, 1.0 / pixel_shape)
     return replace(ball, column=column, row=row, contact_radius_px=contact_px)

@@ -35,8 +35,9 @@ _DECODE_ERRORS: Final = (*TIFF_READ_ERRORS, *RAW_ERRORS)
 
 
 def read_info(path: Path) -> ImageInfo:
-    """Return the size and kind of an image; checks that the file is complete without decoding more pixels than that
-    needs.
+    """Return the size and kind of an image, and check that the file is complete.
+
+    No more pixels are decoded than that needs.
 
     Raises
     ------

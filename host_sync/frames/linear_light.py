@@ -23,8 +23,9 @@ from host_sync.frames.orientation import square_frame
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:
-    """Return the frame as fractions of full scale; a pixel is clipped where a channel reaches `SATURATED` of full
-    scale.
+    """Return the frame as fractions of full scale.
+
+    A pixel is clipped where a channel reaches `SATURATED` of full scale.
 
     Where the frame of untouched skin shows a pattern of printed marks, light is interpolated under them.
 
@@ -111,9 +112,9 @@ def frame_of_values(
 
 
 def light_of_values(dtype: np.dtype[Any], encoding: Encoding, full_scale: int | None = None) -> Float32Array:
-    """Return the fraction of full scale of each stored value: float32 array of 256 or 65536 entries for uint8 or
-    uint16.
+    """Return the fraction of full scale of each stored value, float32 array of 256 or 65536 entries.
 
+    dtype : uint8 or uint16
     full_scale : of uint16; None is the largest count
     """
     highest = np.iinfo(dtype).max

@@ -34,8 +34,10 @@ def known_orientation(number: object) -> int:
 
 
 def exif_orientation(data: bytes) -> int:
-    """Return the orientation that a block of EXIF states, which is a TIFF without pixels; upright where it states
-    none."""
+    """Return the orientation that a block of EXIF states; upright where it states none.
+
+    Such a block is a TIFF without pixels.
+    """
     try:
         with quiet_tiff_log(), tifffile.TiffFile(BytesIO(data)) as tiff:
             return known_orientation(tiff.pages.first.tags.valueof(TAG))

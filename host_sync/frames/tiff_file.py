@@ -67,13 +67,14 @@ def promises_another_page(tiff: tifffile.TiffFile) -> bool:
 
 
 def _full_pages(tiff: tifffile.TiffFile, path: Path) -> list[tifffile.TiffPage]:
-    """Return the page of the image itself, neither a reduced copy of it nor a mask; or those of R, G and B, one grey
-    each.
+    """Return the page of the image itself, or those of R, G and B, one grey each.
+
+    Neither a reduced copy nor a mask is one of them.
 
     Raises
     ------
     FrameSetError
-        There are others.
+        The file holds other pages.
     """
     every = every_page(tiff)
     images = [page for page in every if not page.is_reduced and not page.is_mask] or every[:1]

@@ -125,8 +125,9 @@ def take_off_bias(start: int, above: Any, below: Any, share: Any, run: Any) -> N
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
 def take_off_bump(colours: Any, start: int, above: Any, below: Any, share: Any, run: Any) -> None:
-    """Add minus what is read of untouched skin to the curves' mean, as much as a pixel looks untouched
-    (`rest_likeness`).
+    """Take what is read of untouched skin off the curves' mean, as much as a pixel looks untouched.
+
+    `rest_likeness` states how much that is; `above` and `below` hold minus what is read.
 
     colours : three float32 arrays of shape (n,), intensity
     """

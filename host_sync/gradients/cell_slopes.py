@@ -14,10 +14,10 @@ from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_c
 
 
 def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
-    """Return slopes of cells of `cell` x `cell` pixels, shape (h, w); beyond the field its last row and column are
-    repeated.
+    """Return the slopes of cells of `cell` x `cell` pixels, shape (h, w).
 
-    A cell of which more than a thousandth is invalid is invalid: its slope and weight are 0.
+    Beyond the field its last row and column are repeated. A cell of which more than a thousandth is invalid is invalid:
+    its slope and weight are 0.
     """
     size = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
     valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > WHOLE_CELL

@@ -1,9 +1,9 @@
 """Confidence in slopes, evened out over neighbouring pixels.
 
-What a map knows of a pixel it judges by that pixel's own intensity, whose noise moves the slope as well. Weighed by it,
-slopes that noise makes steep count less than those that it makes gentle, and their weighted mean, which integration
-keeps, is off: untouched skin in a dim corner of a field was 200 µm high. The mean over cells of pixels does not follow
-the noise of one of them.
+A map weighs a pixel by that pixel's own intensity, whose noise moves the slope as well. With such weights, slopes that
+noise makes steep count less than those that it makes gentle, and their weighted mean, which integration keeps, is off:
+untouched skin in a dim corner of a field was 200 µm high. The mean over cells of pixels does not follow the noise of
+one of them.
 """
 
 from __future__ import annotations
@@ -25,8 +25,11 @@ MIN_OWN: Final = np.float32(0.02)
 
 
 def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
-    """Write the mean over cells around each pixel over the weights of a gradient field (H, W); those of pixels without
-    a slope, with a saturated channel (`clipped`, shape (H, W)) or hardly any weight stay and count for no other pixel.
+    """Replace the weights of a gradient field (H, W) by their means over the cells around each pixel.
+
+    Pixels without a slope, with a saturated channel or with hardly any weight keep theirs and count for no other pixel.
+
+    clipped : pixels with a saturated channel, shape (H, W)
     """
     rows, columns = gradients.p.shape
     size = -(-rows // CELL_PX), -(-columns // CELL_PX)

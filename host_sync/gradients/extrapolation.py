@@ -68,8 +68,10 @@ def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
 
 
 def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
-    """Return whether leverage lies beyond the training data at one point of every block of pixels: bool array (h,
-    w)."""
+    """Return the blocks of pixels whose leverage lies beyond the training data: bool array (h, w).
+
+    Leverage is computed at one point of every block.
+    """
     step = _step(intensity.shape)
     rows, columns = intensity.shape
     values = intensity.values[step // 2 :: step, step // 2 :: step]

@@ -302,8 +302,10 @@ def _evaluate(
 
 @njit(cache=True)
 def _between(down: np.float32, count: int) -> tuple[int, np.float32]:
-    """Return the index of the node before a row's position variable, of `count` even over the field, and the share of
-    the way."""
+    """Return the index of the node before a row's position variable, and the fraction of the way to the next.
+
+    count : of nodes, even over the field
+    """
     at = (down + ONE) * np.float32(0.5 * (count - 1))
     before = min(int(at), count - 2)
     return before, at - np.float32(before)

@@ -28,8 +28,9 @@ METADATA: Final = "annotations/metadata.json"
 
 
 def import_gs_sdk(source: Path, said: Said) -> Draft:
-    """Return a calibration folder of gs_sdk: `catalog.csv`, folders with `gelsight.png` and `label.npz`,
-    `background.png`.
+    """Return the draft of a calibration folder of gs_sdk.
+
+    It holds `catalog.csv`, `background.png`, and folders with `gelsight.png` and `label.npz`.
 
     Raises
     ------

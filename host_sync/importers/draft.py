@@ -98,8 +98,9 @@ class Draft:
         return 1e3 * field_mm / read_info(images[0]).shape[1]
 
     def without_copies(self) -> Draft:
-        """Return the draft without presses whose files repeat an earlier press's, byte for byte, and a note that names
-        them.
+        """Return the draft without presses that repeat an earlier one, and with a note that names them.
+
+        Files are compared byte for byte.
 
         Raises
         ------
@@ -213,8 +214,7 @@ def result_names(names: Sequence[str]) -> list[str]:
 
 
 def short_names(images: Sequence[Path]) -> dict[Path, str]:
-    """Return each image's file name, or its path from the folder of all where files of one name lie in several
-    folders."""
+    """Return each image's file name, or its path below the folder of all if a name occurs twice."""
     if len({image.name for image in images}) == len(set(images)):
         return {image: image.name for image in images}
     folder = os.path.commonpath([image.parent for image in images])

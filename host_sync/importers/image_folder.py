@@ -118,8 +118,7 @@ def _of_one_size(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def _largest_group(files: Sequence[Path]) -> list[Path]:
-    """Return the images whose names differ in numbers only, of the largest such group; none where all groups are
-    small."""
+    """Return the largest group of images whose names differ in numbers only; empty where all are small."""
     groups: dict[str, list[Path]] = {}
     for one in files:
         if re.search(r"\d", one.stem):
@@ -232,8 +231,7 @@ def look_at(frame_set: FrameSet, at_most: int) -> Iterator[SeenPress]:
 
 
 def survey_radius(frames: Sequence[FrameSpec], reference: FrameSpec | None) -> FittingRadius | None:
-    """Return the radius of the balls that show in frames; None where none shows, or no frame has the reference's
-    size."""
+    """Return the ball radius that fits what frames of the reference's size show; None where none fits."""
     flat_field = _flat_field(frames, reference)
     readable = [frame for spec in frames if (frame := _readable(spec)) is not None]
     same = [frame for frame in readable if flat_field is not None and frame.rgb.shape == flat_field.shape]

@@ -52,8 +52,10 @@ def direct_solver(level: GridLevel) -> DirectSolver:
 
 
 def pseudo_inverse(level: GridLevel) -> Float64Array:
-    """Return the pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W): least squares, free means
-    zero."""
+    """Return the pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W).
+
+    It solves by least squares; free means are zero.
+    """
     weight_x, weight_y = (weights.astype(np.float64) for weights in edge_weights(level))
     rows, columns = level.shape
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -152,8 +154,10 @@ def nested_cycles(levels: list[GridLevel], solve: DirectSolver, cycles: int, aft
 
 @cache
 def smoothing(times: int = 1) -> Float32Array:
-    """Return the relaxation factors, float32 array: for one smoothing, or (2) after a correction and before the
-    next."""
+    """Return the relaxation factors of `times` smoothings, float32 array.
+
+    Give 2 between one correction and the next: one after the first, one before the second.
+    """
     return np.tile(chebyshev_steps(SWEEPS), times)
 
 
@@ -232,8 +236,10 @@ def _conjugate_gradients(
     solution: Solution,
     max_cycles: int,
 ) -> Solution:
-    """Return the solution by conjugate gradients, preconditioned by V-cycles on undamped levels, which cannot
-    diverge."""
+    """Return the solution by conjugate gradients, preconditioned by V-cycles on undamped levels.
+
+    They cannot diverge.
+    """
     finest = build_level(field)
     solve = _coarse_solution(field, levels, 0.0).solve
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)

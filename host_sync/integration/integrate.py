@@ -149,10 +149,11 @@ def raise_slope_error(gradients: GradientField) -> None:
 
 @njit(cache=True, nogil=True)
 def _scan_rows(valid: Any, bits: Any, counts: Any, extremes: Any, first: int, last: int) -> None:
-    """Write per row: pixels used, valid ones without a usable weight, invalid ones with a weight; least and largest
-    weight.
+    """Write the counts and the extreme weights of each row.
 
     bits : int32 array of shape (H, W), bit patterns of the weights; positive floats sort like their bits
+    counts : pixels used, valid ones without a usable weight, invalid ones with a weight
+    extremes : least and largest weight
     """
     for r in range(first, last):
         _scan_row(valid[r], bits[r], counts[r], extremes[r])

@@ -228,10 +228,10 @@ def new_level(shape: tuple[int, int], weighted: bool) -> GridLevel:
 
 
 def coarser_levels(shape: tuple[int, int], weighted: bool) -> list[GridLevel]:
-    """Return all coarse levels for a field of this shape, 2:1 with sizes rounded up, down to one that is solved
-    directly.
+    """Return all coarse levels for a field of this shape, down to one that is solved directly.
 
-    Without weights, cells at an odd end hold half as many edges: from there on levels have weights.
+    Sizes are halved and rounded up. Without weights, cells at an odd end hold half as many edges: from there on levels
+    have weights.
     """
     levels: list[GridLevel] = []
     direct_px = COARSEST_PX

@@ -69,8 +69,11 @@ def prolong_row(near: Any, far: Any, out: Any) -> None:
 
 @njit(cache=True, fastmath=CONTRACT)
 def prolong_weighted_row(near: Any, far: Any, weight_x: Any, over: Any, out: Any) -> None:
-    """Add a row interpolated across existing edges: `weight_x` of the row itself, `over` to the next fine row towards
-    `far`."""
+    """Add a row that is interpolated across existing edges.
+
+    weight_x : of the row itself
+    over : weights to the next fine row towards `far`
+    """
     quarter, zero = np.float32(0.25), np.float32(0.0)
     width, last, behind = out.size - 2, near.size - 1, weight_x[1:]
     for c in range(1, last):

@@ -102,8 +102,10 @@ class Datum:
         return self.zero_sigma_beside_um(0.0)
 
     def zero_sigma_beside_um(self, known_um: float) -> float:
-        """Return the same beside errors of slopes that let blocks' heights differ by `known_um`, root mean square,
-        µm."""
+        """Return the standard uncertainty of the zero beside known errors of slopes, µm.
+
+        known_um : root mean square by which those errors let blocks' heights differ
+        """
         share = 1.0 if self.is_relative else SPREAD_SHARE
         left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
         return float(np.hypot(left_um, SINKING_SHARE * self.sinking_um))
@@ -212,10 +214,10 @@ def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
 
 
 def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> MaskArray:
-    """Return the connected parts of a mask that stand about as high as the lowest, and make up `MIN_SHARE` of it
-    together.
+    """Return the connected parts of a mask that stand about as high as the lowest.
 
-    What is rough all over has small patches that are flat on average; they are none of these.
+    Together they make up `MIN_SHARE` of the field, else none is returned. What is rough all over has small patches that
+    are flat on average; they are none of these.
 
     part_share : of the field that each must make up
     """
@@ -235,8 +237,7 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> Mas
 
 
 def block_medians(z_um: Float32Array, skin: MaskArray) -> Float64Array:
-    """Return the median of a map (H, W) over each block of the field that shows enough of this skin, float64 array
-    (blocks,)."""
+    """Return the median of a map (H, W) over each block that shows enough of this skin, shape (blocks,)."""
     step = max(1, skin.shape[1] // WIDEST_CELLS)
     z, here = np.ascontiguousarray(z_um[::step, ::step]), skin[::step, ::step]
     side = max(1, z.shape[1] // BLOCKS)
@@ -261,8 +262,10 @@ def _write_medians(z: Any, here: Any, side: int, medians: Any) -> None:
 
 
 def trimmed_mean(values: Float64Array) -> Float64Array:
-    """Return the mean of N > 0 values, shape (N, ...), along the first axis without the share `TRIMMED` at either
-    end."""
+    """Return the mean of N > 0 values, shape (N, ...), along the first axis, without their extremes.
+
+    The fraction `TRIMMED` of them is left out at either end.
+    """
     # Not scipy.stats: loading it takes as long as reconstructing a small frame.
     cut, count = int(TRIMMED * len(values)), len(values)
     inner = np.partition(values, (cut, count - cut - 1), axis=0)[cut : count - cut]

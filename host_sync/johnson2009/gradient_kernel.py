@@ -81,8 +81,10 @@ def judge_candidate(c: Any, colour: Any, across: Any, down: Any, settings: Any) 
 
 @njit(forceinline=True, fastmath=FAST, error_model="numpy")
 def _confidence(inverse: Any, far: Any, unexplained: Any, settings: Any) -> Any:
-    """Return the confidence relative to flat skin: variance through J⁺, reduced for colours far from the model and
-    unexplained gradients."""
+    """Return the confidence relative to that in flat skin.
+
+    It falls with the variance through J⁺, the distance of a colour from the model, and unexplained gradients.
+    """
     one = np.float32(1.0)
     precision = min(settings.flat_variance / (inverse[0] + inverse[2]), one)
     near = one / (one + far / (settings.trusted * settings.trusted))

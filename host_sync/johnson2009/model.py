@@ -1,5 +1,6 @@
-"""The complete method of the paper: reflectance maps, spherical harmonics, lookup table, refinement and gate (section
-5.1), and the integration that it prints.
+"""The complete method of the paper, and the integration that it prints.
+
+The method consists of reflectance maps, spherical harmonics, lookup table, refinement and gate (section 5.1).
 
 It assumes that reflectance is the same everywhere in the field; `device.inverse_map.model` does not.
 
@@ -50,8 +51,10 @@ _MIN_NOISE: Final = 1e-3
 
 
 def pixel_noise(samples: BallSamples) -> float:
-    """Return the standard deviation of intensity from pixel to pixel, mean of the channels, from second differences
-    along rows."""
+    """Return the standard deviation of intensity from pixel to pixel, root mean square of the channels.
+
+    It comes from second differences along rows.
+    """
     column, row, ball = samples.column, samples.row, samples.ball
     beside = (column[2:] - column[:-2] == 2) & (row[2:] == row[:-2]) & (ball[2:] == ball[:-2])
     if not beside.any():
@@ -140,8 +143,9 @@ def estimate_gradients(model: PaperModel, image: NormalizedImage) -> GradientFie
 
 
 def integrate_forward_difference(gradients: GradientField, pitch_um: float) -> tuple[HeightMap, IntegrationReport]:
-    """Return the height map that minimizes the paper's E (eqs. 9 and 10), and a report; pixels without a slope are
-    holes.
+    """Return the height map that minimizes the paper's E (eqs. 9 and 10), and a report.
+
+    Pixels without a slope are holes.
 
     E(z) = Σ (∂f/∂x - p)² + (∂f/∂y - q)² with ∂f/∂x = f(x + 1, y) - f(x, y): a pixel's slope is used as the height
     difference to its next neighbour, half a pixel off, and every pixel has the same weight. The default method averages

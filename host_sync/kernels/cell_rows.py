@@ -1,5 +1,6 @@
-"""Values at the middles of cells, brought to every pixel of a row inside a kernel: between the middles they run
-straight, and beyond the outermost ones they stay.
+"""Values at the middles of cells, interpolated to every pixel of a row inside a kernel.
+
+They are linear between the middles, and constant beyond the outermost ones.
 
 What two rows of cells hold is first brought to every column. All rows of pixels between their middles then take it, so
 that a pixel costs one product a value.
@@ -56,23 +57,25 @@ def _means(plane: Float32Array, size: tuple[int, int], cell: int) -> Float32Arra
 
 
 def _whole_and_cut(pixels: int, count: int, cell: int) -> list[slice]:
-    """Of `count` cells along so many pixels those that lie within, and those that the border cuts: only these need a
-    copy of their pixels.
+    """Return the cells that lie within the field, and those that its border cuts, as slices.
+
+    Only those that are cut need a copy of their pixels.
     """
     whole = pixels // cell
     return [part for part in (slice(0, whole), slice(whole, count)) if part.stop > part.start]
 
 
 def bordered(planes: Float32Array) -> Float32Array:
-    """Return planes of cells (T, h, w) with the border cells once more around them: contiguous, shape (T, h + 2, w +
-    2)."""
+    """Return planes of cells (T, h, w) with the border cells repeated around them: (T, h + 2, w + 2)."""
     return np.ascontiguousarray(np.pad(planes, ((0, 0), (1, 1), (1, 1)), mode="edge"), np.float32)
 
 
 @njit(cache=True)
 def cells_above(row: int, cell: int, count: int) -> Any:
-    """Return the index of the bordered row of cells whose middle lies above a row of pixels, and its share of the way
-    down."""
+    """Return the index of the bordered row of cells above a row of pixels, and the fraction of the way down.
+
+    The middle of the cells lies above; the way leads to the middle of the next row of cells.
+    """
     at = (row - 0.5 * (cell - 1)) / cell + 1.0
     top = min(max(int(at), 0), count - 2)
     return top, np.float32(at - top)
@@ -80,8 +83,9 @@ def cells_above(row: int, cell: int, count: int) -> Any:
 
 @njit(cache=True)
 def expanded_at(planes: Any, row: int, cell: int, expanded: int, upper: Any, step: Any) -> Any:
-    """Return the bordered row of cells above a row of pixels, brought to all columns unless it is the one that is, and
-    the pixels' share of the way down.
+    """Return what `cells_above` returns, and bring that row of cells to all columns.
+
+    A row that is there already is not brought again.
 
     expanded : the row that `upper` and `step`, as of `expand_cells`, hold; -1 for none
     """

@@ -61,8 +61,9 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Any], Any]:
 
 
 def kernel_digest(kernel: Any) -> bytes:
-    """Return the digest of everything that decides what a kernel computes, apart from its argument types and the
-    machine.
+    """Return the digest of everything that decides what a kernel computes.
+
+    Argument types and the machine are no part of it.
 
     Raises
     ------
@@ -133,8 +134,10 @@ class _KernelCache(_Cache):
             Path(stream.name).replace(path)
 
     def _path(self, signature: object, codegen: Any) -> Path:
-        """Return the file of a signature; the kernel's digest is taken at the first call, when all that it calls is
-        defined."""
+        """Return the file of a signature.
+
+        The kernel's digest is taken at the first call, when all that it calls is defined.
+        """
         if self._digest is None:
             self._digest = kernel_digest(self._kernel)
         facts = (signature, codegen.magic_tuple(), numba.__version__, llvmlite.__version__, sys.version_info[:2])
