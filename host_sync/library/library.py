@@ -93,8 +93,9 @@ class Library:
         return read_scan(self._find("scans", name))
 
     def named(self, name: str) -> ScanBundle:
-        """Return the scan that `find` finds, or the only one whose label or part has that name; a label goes before a
-        part.
+        """Return the scan that `find` finds, or the only one whose label or part has that name.
+
+        A label goes before a part.
 
         Raises
         ------
@@ -195,9 +196,7 @@ class Library:
             return shutil.disk_usage(self.root).free
 
     def looks_whole(self, kind: BundleKind, bundle_id: str) -> bool:
-        """Return whether it holds the bundle that its intake record names, by manifest and file sizes; no file is
-        hashed.
-        """
+        """Return whether a bundle matches its intake record by manifest and file sizes; no file is hashed."""
         directory = self.root / kind / bundle_id
         entry = self.intake().held.get((kind, bundle_id))
         try:

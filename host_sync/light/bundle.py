@@ -261,8 +261,7 @@ class Bundle:
         return float(robust.sum() + (weight * np.square(numbers.packed() - expected)).sum())
 
     def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, _Jacobian]:
-        """Return the normal equations of the numbers that are searched for, and the derivatives that they are made
-        of."""
+        """Return matrix and right side of the normal equations of the free numbers, and the Jacobian."""
         terms = self.terms(numbers)
         error = terms.shown - self.intensity
         columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []

@@ -60,8 +60,10 @@ def ray_to(point: Any, axis: Any, coat: Any, x: Any, y: Any, z: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
-    """Return the share of a ray that a coat reflects: of cosines between normal and light, normal and camera, light and
-    camera."""
+    """Return the fraction of a ray that a coat reflects.
+
+    lit, seen, between : cosines between normal and light, normal and camera, light and camera
+    """
     if lit == 0.0:
         return 0.0
     even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]

@@ -62,8 +62,9 @@ class LightGroups:
         return len(self.names)
 
     def check(self, frame: LinearFrame, name: str) -> list[str]:
-        """Return what speaks against a frame: a light that shows other than the others predict; nothing of three or
-        fewer.
+        """Return what speaks against a frame: a light that shows other than the others predict.
+
+        Nothing speaks against a frame of three lights or fewer.
 
         Raises
         ------

@@ -81,8 +81,10 @@ class Preparation:
         return z_um
 
     def edge_fraction(self) -> float:
-        """Return the fraction of valid pixels within half the L-filter's nesting index of a border or hole; 0 without
-        L-filter."""
+        """Return the fraction of valid pixels near a border or hole; 0 without L-filter.
+
+        They lie within half the L-filter's nesting index of it.
+        """
         if self._l_px is None:
             return 0.0
         framed = np.pad(self.valid.astype(np.uint8), 1)

@@ -81,8 +81,7 @@ def between_planes_deg(first: Float32Array, second: Float32Array, places: tuple[
 
 
 def bend_deg(z_um: Float32Array, places: SkinPlaces) -> float:
-    """Return the largest angle between the planes of opposite halves of a region, degrees; NaN where no half shows a
-    plane."""
+    """Return the largest angle between the planes of opposite halves of a region; NaN where none show one."""
     across_um, down_um = places.at(z_um)
     largest = np.nan
     for axis in (0, 1):
@@ -188,14 +187,16 @@ class SkinPlaces:
 
     @classmethod
     def of(cls, record: ResultRecord) -> SkinPlaces:
-        """Return those of a result."""
+        """Return the places of a result's pixels."""
         pitch_um = record.pixel_pitch_um
         middle_um = 0.5 * pitch_um * (record.columns - 1), 0.5 * pitch_um * (record.rows - 1)
         return cls(pitch_um, middle_um, 0.0 if record.pupil_height_mm is None else 1e-3 / record.pupil_height_mm)
 
     def levelled(self, zero_um: float, down: float, across: float) -> SkinPlaces:
-        """Return the same where heights have lost a plane: µm at the middle of the field, and per pixel down and
-        across.
+        """Return the places for heights from which a plane was subtracted.
+
+        zero_um : height of the plane at the middle of the field
+        down, across : its rise per pixel, µm
         """
         return replace(self, level=(zero_um, across / self.pitch_um, down / self.pitch_um))
 

@@ -211,8 +211,10 @@ class HeightSamples:
 
 
 def _balanced(rng: np.random.Generator, count: int) -> Float64Array:
-    """Return the normal numbers in random order, of mean 0 and mean square 1 exactly: few samples then hold a share as
-    stated."""
+    """Return normal numbers in random order, of mean 0 and mean square 1 exactly.
+
+    Even few samples then have the standard deviation that is stated.
+    """
     if count < 2:
         return np.zeros(count)
     quantiles = norm.ppf((np.arange(count) + 0.5) / count)

@@ -73,8 +73,10 @@ class Levelling:
         return np.asarray(z_um - plane.astype(np.float32), np.float32)
 
     def _through(self, used: MaskArray) -> Callable[[Float32Array], Float64Array]:
-        """Return the height at the middle of the field and slopes per row and column (µm/px) of the plane through the
-        pixels."""
+        """Return the function that fits a plane to the heights of the used pixels.
+
+        It returns the height at the middle of the field and the slopes per row and column, µm/px.
+        """
         row, column = np.nonzero(used)
         step = max(1, row.size // MAX_FITTED)
         row, column = row[::step], column[::step]
@@ -154,8 +156,9 @@ def _chosen(table: LevelTable, surface: ResultSurface) -> MaskArray:
 
 
 def untouched_skin(surface: ResultSurface) -> MaskArray:
-    """Return untouched skin: the mask that reconstruction wrote, else what is flat, low and far from all else: bool (H,
-    W).
+    """Return the untouched skin of a surface, bool array of shape (H, W).
+
+    It is the mask that reconstruction wrote, else what is flat, low and far from all else.
 
     Raises
     ------

@@ -132,10 +132,10 @@ def decimals(uncertainty: float) -> int:
 
 
 def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:
-    """Return the standard uncertainty of a number, its noise bias, and the number of samples with a value; None with
-    too few.
+    """Return a number's standard uncertainty, its noise bias, and the number of samples with a value.
 
-    The uncertainty combines the spread of the samples about their mean with the noise bias, which is not subtracted.
+    None with too few samples. The uncertainty combines the spread of the samples about their mean with the noise bias,
+    which is not subtracted.
 
     drawn : float64 array of shape (K,), NaN where a sample gave no value
     is_direction : an angle in degrees with a period of 180°

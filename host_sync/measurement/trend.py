@@ -36,8 +36,9 @@ SCHEMA: Final = "retrograph.trend/1"
 
 
 class Trend(msgspec.Struct, frozen=True, kw_only=True):
-    """A number over results; lengths and limits in its unit, uncertainties expanded by `coverage_factor`, None is not
-    known.
+    """One number over many results.
+
+    Lengths and limits are in its unit, uncertainties are expanded by `coverage_factor`, and None is not known.
 
     count : results with a value
     range : largest minus smallest
@@ -183,8 +184,7 @@ def _capability(
 
 
 def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Quantity, list[Quantity | None], Trend]]:
-    """Return the trend of each number that two results or more have: an example of it, one per result, and its
-    trend."""
+    """Return each number that two results or more have: an example of it, one per result, and its trend."""
     rows: dict[tuple[str, str], list[Quantity | None]] = {}
     for at, measurement in enumerate(measurements):
         for one in measurement.quantities:

@@ -170,8 +170,10 @@ def blend(
 def _windows(
     canvas: Canvas, place: Motion, shape: tuple[int, int]
 ) -> Iterator[tuple[tuple[slice, slice], tuple[Float32Array, Float32Array]]]:
-    """Yield parts of the canvas that a press covers, and where their pixels lie in it (row, column, px of the
-    press)."""
+    """Yield parts of the canvas that a press covers, and the places of their pixels in the press.
+
+    Places are row and column, px of the press.
+    """
     corners = (place.of(_corners(shape)) - (canvas.top, canvas.left)) / canvas.step
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
     high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 1, canvas.shape)

@@ -1,4 +1,4 @@
-"""Links: what the slopes of two presses say of each other's place, fitted over their overlap and judged.
+"""Links: the place of one press relative to another by their slopes, fitted over their overlap and judged.
 
 The fit and its uncertainty are those of the registration of two presses. Both presses are cut to where they overlap.
 """
@@ -113,8 +113,9 @@ def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int]
 
 
 def _without_rivals(found: list[Link]) -> list[Link]:
-    """Return the links, each place of a pair once: those refused that another place of the same presses rivals, or that
-    agree less than links here do.
+    """Return the links, each place of a pair once, with those refused that are ambiguous or poor.
+
+    A link is ambiguous if another place of the same presses rivals it, and poor if it agrees less than links here do.
     """
     pairs: dict[tuple[int, int], list[Link]] = {}
     for link in found:
@@ -235,8 +236,10 @@ def _box(
     margin: int,
     box: tuple[int, int, int, int],
 ) -> tuple[int, int, int, int] | None:
-    """Return the rows and columns (first, first, end, end) of a map of `shape` that a box of a map of `start`
-    covers."""
+    """Return the box of a map of `shape` that a box of a map of `start` covers; None if it is small.
+
+    A box is (first row, first column, end of rows, end of columns).
+    """
     rows, columns = (box[0], box[2] - 1), (box[1], box[3] - 1)
     corners = np.array([(row, column) for row in rows for column in columns], np.float64)
     places = motion.of(corners - 0.5 * (np.array(start[:2]) - 1)) + 0.5 * (np.array(shape[:2]) - 1)

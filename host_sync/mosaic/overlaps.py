@@ -250,7 +250,9 @@ class Motion:
         return Motion(float(down), float(right), -self.turn)
 
     def distance_px(self, other: Motion, reach_px: float) -> float:
-        """Return the largest distance between where both put a place up to `reach_px` from the middle, to first
-        order."""
+        """Return the largest distance between the places of a point by either motion, to first order.
+
+        reach_px : distance of the farthest point from the middle
+        """
         turn = (self.turn - other.turn + np.pi) % (2.0 * np.pi) - np.pi
         return float(np.hypot(self.down - other.down, self.right - other.right) + reach_px * abs(turn))

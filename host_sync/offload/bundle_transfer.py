@@ -192,10 +192,10 @@ def _download_file(
 
 
 def _download_rest(source: Source, place: str, entry: FileEntry, part: Path, advance: Advance) -> tuple[int, str]:
-    """Return the size and SHA-256 of a file that was completed in `part`; stops as soon as more arrives than was
-    stated.
+    """Complete a file in `part`, and return its size and SHA-256.
 
-    An empty file is asked for, too: a source that does not have it does not offer this bundle.
+    The download stops as soon as more arrives than was stated. An empty file is asked for, too: a source that does not
+    have it does not offer this bundle.
     """
     digest, size, pending = hashlib.sha256(), 0, 0
     with part.open("a+b") as stored:

@@ -139,8 +139,9 @@ class SftpSource:
             raise self._refused(place, "be renamed", error) from error
 
     def clock_offset_s(self) -> float | None:
-        """Return how far the device's clock is ahead of ours, s, by the time stamp of a new file; None when it takes
-        none.
+        """Return how far the device's clock is ahead of ours, by the time stamp of a new file.
+
+        None when the device takes no file.
         """
         try:
             before_s = time.time()

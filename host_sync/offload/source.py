@@ -1,7 +1,7 @@
 """Sources of bundles: a folder, a card, or a device over the network, behind one Protocol.
 
-A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source says
-is trusted.
+A place is a path below the store with "/" between its parts, such as "scans/<id>/raw.tif". Nothing that a source
+states is trusted.
 """
 
 from __future__ import annotations
@@ -179,8 +179,9 @@ class DirectorySource:
             ) from error
 
     def _is_there(self) -> bool:
-        """Return whether the folder can still be listed: then a bad block concerns one file, else the whole card is
-        gone.
+        """Return whether the folder can still be listed.
+
+        If so, a bad block concerns one file, else the whole card is gone.
         """
         try:
             return next(self.root.iterdir(), None) is not None

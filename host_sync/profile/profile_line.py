@@ -162,11 +162,10 @@ def profile_parameters(profile: Profile, sections: int = 1, kind: str = "P") -> 
 
 
 def mean_spacing(heights: Float64Array, rz: float, section_samples: float) -> float:
-    """Return the mean width of the profile elements (a hill and the dale after it), samples; NaN without a complete
-    one.
+    """Return the mean width of the profile elements, samples; NaN without a complete one.
 
-    An element begins where the profile crosses its mean line upwards between a significant dale and a significant hill.
-    Elements with an invalid sample are ignored.
+    An element is a hill and the dale after it. It begins where the profile crosses its mean line upwards between a
+    significant dale and a significant hill. Elements with an invalid sample are ignored.
     """
     turns = _crossings(heights, HEIGHT_DISCRIMINATION * rz, MIN_SPACING * section_samples)
     widths = np.diff(turns)

@@ -3,10 +3,9 @@
 Groove or ridge (type A): Z = a X + b + h d is fitted over three times its width, with d = +1 beside it and d = -1 in
 its middle third. A third of the width next to each edge is ignored; the depth is 2 h.
 
-Step: the same with one edge and d = +1 and -1 on its sides. A step has no width that would say how much of the profile
-to use, so the flank says it: nothing within `GAP_FLANKS` of its length beside the edge is used, and `REACH_FLANKS`
-beyond.
-The line's length has no part in it, once it holds that much.
+Step: the same with one edge and d = +1 and -1 on its sides. A step has no width to decide how much of the profile
+is used, so its flank decides: nothing within `GAP_FLANKS` of its length beside the edge is used, and `REACH_FLANKS`
+beyond. The length of the line has no part in it, once it holds that much.
 """
 
 from __future__ import annotations
@@ -88,8 +87,9 @@ class StepEdges:
 def step_height_um(
     profile: Profile, edges: StepEdges, ignored: float = IGNORED_SHARE, reach: float = REACH_FLANKS
 ) -> float:
-    """Return the height of the step from left to right, or of the ridge above its surroundings (negative for a groove),
-    µm.
+    """Return the height of the step from left to right, or of the ridge above its surroundings.
+
+    A groove has a negative height.
 
     ignored : fraction of a groove's width that is ignored beside its edges
     reach : how much of the profile a step uses, flanks
@@ -103,10 +103,11 @@ def step_height_um(
 
 
 def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
-    """Return the standard uncertainty of what is called the height, µm: its spread over how much of the profile is
-    used, and on a line that is too short how much it still changes with the flank that is left out.
+    """Return the standard uncertainty of the height that comes from its definition.
 
-    NaN where the line ends so far within the flank that the step's levels are not known.
+    It is the spread of the height over how much of the profile is used and, on a line that is too short, the change of
+    the height with the flank that is left out. NaN where the line ends so far within the flank that the step's levels
+    are not known.
     """
     found = [step_height_um(profile, edges)]
     room = room_share(profile, edges)  # a line that is too short varies what it has
@@ -263,8 +264,10 @@ def _refined_groove(profile: Profile, rough: StepEdges) -> StepEdges:
 
 
 def _refined_step(profile: Profile, edge_um: float) -> StepEdges:
-    """Return the edge where the profile crosses half way, and the length of its flank; neither knows the line's
-    length."""
+    """Return the edge where the profile crosses half way, with the length of its flank.
+
+    Neither depends on the line's length.
+    """
     length = float(profile.along_um[-1])
     flank = min(0.1 * length, min(edge_um, length - edge_um) / (2.0 * GAP_FLANKS))
     is_cut = False
