@@ -261,8 +261,9 @@ be seen edge on, and no height map holds what lies behind."""
 def seen_slopes(
     gradients: GradientField, viewpoint: Viewpoint, height: HeightMap | None = None, out: GradientField | None = None
 ) -> GradientField:
-    """Return how steeply heights rise over pixels, of skin with these slopes; without heights less the factor of
-    elevation.
+    """Return the rise of heights per pixel as the camera sees skin with these slopes.
+
+    Without heights the factor of elevation is left out.
 
     height : over untouched skin, arrays of shape (H, W); where it is not known skin counts as untouched
     out : receives p and q; may be `gradients`

@@ -133,8 +133,10 @@ def _both(
     pose: Pose,
     known: MaskArray,
 ) -> Float32Array | None:
-    """Return the combined uncertainty of both as independent, on the grid of the first; NaN where the difference is
-    invalid."""
+    """Return the uncertainty of the difference of two independent maps, on the grid of the first.
+
+    NaN where the difference is invalid; None where a map has no uncertainty.
+    """
     first, second = sigmas_um
     if first is None or second is None:
         return None

@@ -30,8 +30,10 @@ class Pose:
     turn: float = 0.0
 
     def distance_px(self, other: Pose, shape: tuple[int, ...]) -> float:
-        """Return the largest distance between where both poses put a corner of a map of `shape` (H, W), px, to first
-        order."""
+        """Return the largest distance between the places of a map's corner by either pose, to first order.
+
+        shape : of the map, (H, W)
+        """
         reach = 0.5 * float(np.hypot(shape[0], shape[1]))
         return float(np.hypot(self.down - other.down, self.right - other.right) + reach * abs(self.turn - other.turn))
 
@@ -229,8 +231,10 @@ def _over_turns(first: Float32Array, second: Float32Array, step: int, by: str) -
 
 
 def _agreement(one: Complex, other: Complex) -> Float64Array:
-    """Return the correlation of the slopes over their overlap for each whole shift: array of the padded shape, -1
-    without one."""
+    """Return the correlation of the slopes over their overlap for each whole shift, in the padded shape.
+
+    It is -1 where the overlap is too small.
+    """
     shape = _padded(one.shape, other.shape)
     squares = [np.abs(field) ** 2 for field in (one, other)]
     inside = [np.ones(field.shape) for field in (one, other)]

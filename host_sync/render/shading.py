@@ -64,8 +64,10 @@ def exaggeration_for(steep: float) -> float:
 
 
 def reduced(height: HeightMap, widest_px: int) -> HeightMap:
-    """Return the height map averaged down to at most `widest_px` columns; a pixel with an invalid part becomes
-    invalid."""
+    """Return the height map averaged down to at most `widest_px` columns.
+
+    A pixel with an invalid part becomes invalid.
+    """
     columns = height.z_um.shape[1]
     factor = int(np.ceil(columns / widest_px))
     if factor <= 1:

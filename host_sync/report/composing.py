@@ -84,8 +84,10 @@ def signature(report: Report, hashes: Table) -> str:
 
 
 def place_of(folder: Path, origin: Origin) -> Path:
-    """Return the result's path without private parts: within its library, else relative to here, else its last two
-    names."""
+    """Return the result's path without private parts.
+
+    It is the path within its library, else relative to here, else its last two names.
+    """
     if origin.scan is not None:
         return Path(*folder.absolute().parts[-4:])
     if not folder.is_absolute():

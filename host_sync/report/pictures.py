@@ -78,8 +78,9 @@ def draw_places(axes: Axes, measurement: Measurement) -> None:
 def placed(
     names: list[tuple[str, float, float]], size_mm: float, width_mm: float
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield names and their places (mm), moved up or down until no two overlap, and left until they end inside the
-    field.
+    """Yield names and their places (mm) in the field, without overlap where there is room.
+
+    A name is moved up or down until it overlaps no other, and left until it ends inside the field.
 
     size_mm : the field's longer side; width_mm : its width
     """

@@ -85,8 +85,9 @@ def compose_population(
 
 
 def outliers(measurements: Sequence[Measurement], charted: Sequence[_Charted]) -> list[Outlier]:
-    """Return results with a number beyond its control limits, with one that fails its tolerance, or without one that
-    the recipe asks for; the farthest first.
+    """Return the results that stand out, the farthest first.
+
+    Such a result has a number beyond its control limits or its tolerance, or lacks one that the recipe asks for.
     """
     trend_by_number = {(example.subject, example.name): trend for example, _, trend in charted}
     found = []

@@ -135,10 +135,9 @@ def draw_chart(
 
 
 def without_common_start(names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return what all names begin with, up to a sign between their parts, and the rest of each: ids leave a chart no
-    room.
+    """Return the common beginning of all names, up to a sign between their parts, and the rest of each.
 
-    Names whose common beginning is shorter than `LONG_START` stay as they are.
+    Ids would leave a chart no room. Names whose common beginning is shorter than `LONG_START` stay as they are.
     """
     common = "".join(letters[0] for letters in takewhile(lambda some: len(set(some)) == 1, zip(*names, strict=False)))
     start = common[: 1 + max(common.rfind(sign) for sign in "-_. ")]

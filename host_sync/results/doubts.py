@@ -186,8 +186,9 @@ class _ScanManifest(msgspec.Struct, frozen=True):
 
 
 def _said_later(folder: Path, record: ResultRecord) -> Iterator[Doubt]:
-    """Return what the handheld said of a result in a library after its scan: failed checks, and that it was taken
-    again.
+    """Yield the doubts that the handheld recorded about a library's scan afterwards.
+
+    They are failed checks, and that the scan was taken again.
     """
     scan = folder.absolute().parent.parent
     if record.scan_id is None or scan.name != record.scan_id:

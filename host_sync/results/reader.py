@@ -75,8 +75,10 @@ class ResultSurface:
         return self.record.surface_detail
 
     def with_detail(self, detail: DetailName | None) -> ResultSurface:
-        """Return the surface with a kind of detail; as it is where that is its own or the only one, or None is asked
-        for."""
+        """Return the surface with a kind of detail.
+
+        It stays as it is where that detail is its own, it has no other, or None is asked for.
+        """
         if detail in (None, self.detail) or self.other is None:
             return self
         return replace(

@@ -41,8 +41,10 @@ class SlopeNoise(msgspec.Struct, frozen=True):
     raw_blur_px: float = 0.0
 
     def added_variance(self, square: Float32Array) -> Float32Array:
-        """Return the variance of either slope that raw detail has beyond shrunk detail, in a height map with p² + q²
-        `square`."""
+        """Return the variance of either slope that raw detail has beyond shrunk detail.
+
+        square : p² + q² in a height map; the result has its shape
+        """
         more = self.variance(square, "raw") - self.variance(square, "shrunk")
         return np.asarray(np.maximum(more, np.float32(0.0)), np.float32)
 

@@ -30,8 +30,10 @@ READ_ERRORS: Final = (msgspec.MsgspecError, ValueError, TypeError, LookupError, 
 
 
 def as_members(record: object) -> dict[str, bytes]:
-    """Return members of an archive that `from_members` reads as the same record; an array that occurs twice is kept
-    once."""
+    """Return the members of an archive that `from_members` reads as the same record.
+
+    An array that occurs twice is kept once.
+    """
     number_of: dict[int, int] = {}
     members: dict[str, bytes] = {}
 

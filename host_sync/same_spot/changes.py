@@ -264,8 +264,10 @@ def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
 def _change(
     bands: list[_Band], best: _Band, rest: Float32Array, place: tuple[int, int], pitch_um: float
 ) -> tuple[Change, MaskArray]:
-    """Return the change at the peak of a band, as a round one of Gaussian profile on a plane, and the pixels that it
-    takes."""
+    """Return the change at the peak of a band, and the pixels that it takes.
+
+    It is fitted as a round change of Gaussian profile on a plane.
+    """
     row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
     down, right = np.broadcast_arrays(row - place[0], column - place[1])
     away = np.hypot(down, right)

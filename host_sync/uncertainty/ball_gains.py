@@ -1,10 +1,10 @@
-"""By what share a map reads slopes of either steepness too steep or too flat, ball by ball.
+"""Gains: the fractions by which a map reads gentle and steep slopes too steep or too flat, ball by ball.
 
-Such a share moves all of an object at once: height maps of steps, coins and grooves are wrong by it. Balls show which
-shares go together, those of gentle and of steep slopes at one place, and how far they differ from place to place. So
-every ball is one draw of what an object's slopes may be wrong by, and gentle objects do not pay for the rims of balls.
-Balls close by count most: an object in the middle of the field does not pay for a ball in its corner. What differs from
-ball to ball differs over an object, too: a plate as large as three balls is wrong by the mean of what three are.
+A gain moves all of an object at once: height maps of steps, coins and grooves are wrong by it. Balls show which gains
+go together, those of gentle and of steep slopes at one place, and how far they differ from place to place. So every
+ball is one draw of what an object's slopes may be wrong by, and gentle objects do not pay for the rims of balls. Balls
+close by count most: an object in the middle of the field does not pay for a ball in its corner. What differs from ball
+to ball differs over an object, too: a plate as large as three balls is wrong by the mean of what three are.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ def with_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> list[int]:
 
 
 def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[tuple[float, ...], ...]:
-    """Return gains of balls by band, their mean square less what the sectors' scatter explains of it, ball by ball;
-    only of those that `with_gains`.
+    """Return the gains of balls by band, reduced by what the scatter of their sectors explains.
 
-    What balls agree on is believed whatever their sectors say: those may differ for a reason that all balls have.
+    Reduced is their mean square; only the balls of `with_gains` are returned. What balls agree on is believed whatever
+    their sectors show: those may differ for a reason that all balls have.
 
     balls : gains and their variances, as of `gains_of_ball`
     """
@@ -99,10 +99,10 @@ def believed_gains(balls: Sequence[tuple[Float64Array, Float64Array]]) -> tuple[
 
 
 def gain_curves(gains: Sequence[Sequence[float]]) -> Float64Array:
-    """Return errors of the gain at the bands' tilts whose squares add to the balls' mean square: float64 array (r,
-    bands).
+    """Return errors of the gain at the bands' tilts, float64 array of shape (r, bands).
 
-    The gains of balls go together in each; r is 0 where no ball determines a gain, and the number of bands at most.
+    Their squares add to the balls' mean square, and the gains of balls go together in each. r is 0 where no ball
+    determines a gain, and the number of bands at most.
     """
     if not gains:
         return np.zeros((0, 0))
@@ -125,10 +125,10 @@ def shared_and_local(
 
 
 def local_normals(rng: np.random.Generator, shape: tuple[int, int, int, int]) -> Float32Array:
-    """Return random numbers of mean 0 and variance 1 that are alike at places close by: float32 array of `shape`,
-    samples, curves, rows and columns of a reduced field.
+    """Return random numbers of mean 0 and variance 1 that are alike at places close by.
 
-    At every place their mean square over the samples is 1.
+    Float32 array of `shape`: samples, curves, rows and columns of a reduced field. At every place their mean square
+    over the samples is 1.
     """
     samples, curves, rows, columns = shape
     sigma = CLOSE_WIDTHS * columns
@@ -144,10 +144,12 @@ def local_normals(rng: np.random.Generator, shape: tuple[int, int, int, int]) ->
 def gains_by_place(
     gains: Sequence[Sequence[float]], places: Sequence[tuple[float, float]], size: tuple[int, int]
 ) -> Float32Array:
-    """Return how large the gains of balls close by are over those of all balls, root mean squares, on a reduced field
-    of `size` (w, h): float32 array of shape (h, w).
+    """Return the gains of balls close by over those of all balls, float32 array of shape (h, w).
+
+    Both are root mean squares.
 
     places : of the balls, column and row in widths of the field; without them it is 1 everywhere
+    size : of the reduced field, (w, h)
     """
     columns, rows = size
     square = np.square(np.array(gains)).mean(axis=-1) if gains else np.zeros(0)
@@ -163,10 +165,9 @@ def gains_by_place(
 
 
 def gain_at(curve: Float64Array, cosine: Float32Array, tilt_deg: Sequence[float]) -> Float32Array:
-    """Return a curve (bands,) of gains at the tilts `tilt_deg`, where the cosine of the tilt is `cosine`: array of its
-    shape.
+    """Return a curve of gains (bands,) at tilts whose cosine is `cosine`, in its shape.
 
-    Between the tilts it runs straight, beyond them it stays.
+    It is linear between the bands' tilts `tilt_deg`, and constant beyond them.
     """
     known = np.cos(np.radians(tilt_deg))
     return np.asarray(np.interp(cosine, known[::-1], curve[::-1]), np.float32)

@@ -1,5 +1,4 @@
-"""Uncertainty of a frame's slopes from its calibration: their change when a fold of its balls is left out of
-training.
+"""Uncertainty of a frame's slopes from its calibration, by leaving folds of its balls out of training.
 
 Each replica of the inverse map was trained without some of the balls. Where the others say as much, all read the same
 slopes; where a corner, a colour or a slope was trained on few balls they part. The jackknife makes standard deviations
@@ -41,7 +40,10 @@ class CalibrationUncertainty:
         return cls(*(np.stack([_resampled(one, size[::-1]) for one in part]) for part in deviations))
 
     def mixed_with(self, other: CalibrationUncertainty, share: Float32Array) -> CalibrationUncertainty:
-        """This one where `share`, float32 array of shape (h, w), is 0, the other one where it is 1."""
+        """Return these deviations where `share` is 0, and the other ones where it is 1.
+
+        share : float32 array of shape (h, w)
+        """
         own = np.float32(1.0) - share
         return CalibrationUncertainty(
             np.concatenate([own * self.p, share * other.p]), np.concatenate([own * self.q, share * other.q])
@@ -53,8 +55,10 @@ class CalibrationUncertainty:
         return _resampled(np.sqrt(square), shape)
 
     def with_unresolved(self, p: Float32Array, q: Float32Array) -> Float32Array:
-        """Return the same beside what was not resolved of a surface with slopes p and q: float32 array of their
-        shape."""
+        """Return the slope uncertainty with what was not resolved of a surface, in the shape of p and q.
+
+        p, q : slopes of the surface
+        """
         unresolved = unresolved_slope(p, q)
         both = np.hypot(unresolved, self.sigma((unresolved.shape[0], unresolved.shape[1])))
         return _resampled(both, (p.shape[0], p.shape[1]))

@@ -80,8 +80,10 @@ def elevation_correction(
 
 
 def apexes_px(image: NormalizedImage, balls: Sequence[Ball], inverse: InverseMap) -> list[float]:
-    """Return the elevation of each ball's apex as the map reads its press, pixels: that over its own contact's rim at
-    least."""
+    """Return the elevation of each ball's apex as the map reads its press.
+
+    It is at least the elevation over the rim of the ball's own contact.
+    """
     gradients = cell_slopes(image, inverse, CELL_PX)
     # In pixels instead of µm: zero as a scan's height map has it.
     height = HeightMap(integrate_dct(gradients.p, gradients.q, float(CELL_PX)), float(CELL_PX))

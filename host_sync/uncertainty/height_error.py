@@ -49,11 +49,11 @@ SlopePair = tuple[Float32Array, Float32Array]
 
 
 def nonintegrable_residual(gradients: GradientField, p: Float32Array, q: Float32Array) -> Float32Array:
-    """Return the standard deviation of the slope error, over patches, that the surface itself betrays: float32 array
-    (H, W).
+    """Return the slope error over patches that the non-integrable residual shows, float32 array (H, W).
 
-    Slopes that belong to no surface cannot be right. Of an error without preference integration removes half the power
-    and keeps the other half, so that twice of what it removed is the error (p and q are the integrated slopes).
+    It is a standard deviation. Slopes that belong to no surface cannot be right. Of an error without preference
+    integration removes half the power and keeps the other half, so that twice of what it removed is the error (p and q
+    are the integrated slopes).
     """
     rows, columns = gradients.p.shape
     size = (max(columns // NONINTEGRABLE_CELL_PX, 1), max(rows // NONINTEGRABLE_CELL_PX, 1))
@@ -234,8 +234,10 @@ def _by_tilt(square: Float32Array, error: SlopeError) -> tuple[Float32Array, Flo
 def _drawn_spread(
     gradients: GradientField, nonintegrable: Float32Array, error: SlopeError, size: tuple[int, int]
 ) -> SlopePair:
-    """Return the standard deviation of a slope's pixel and patch part on the reduced field; independent pixels average
-    out."""
+    """Return the standard deviations of a slope's pixel and patch part on the reduced field.
+
+    Independent pixels average out.
+    """
     square = _shrunk(squared_tilt(gradients.p, gradients.q, gradients.valid, 9.0), size)
     confidence = _shrunk(np.maximum(gradients.weight, np.float32(MIN_WEIGHT)), size)
     pixel, patch = _by_tilt(square, error)
@@ -296,8 +298,10 @@ class SlopeDraws:
 
 
 def slope_draws(error: SlopeError, size: tuple[int, int], columns: int, fields: int) -> SlopeDraws:
-    """Return the random numbers for a slope error on a reduced field of `size` (w, h): the same whenever they are
-    drawn, and kept for the next scan of a calibration. Nothing may be written to them.
+    """Return the random numbers for a slope error on a reduced field of `size` (w, h).
+
+    They are the same whenever they are drawn, and kept for the next scan of a calibration. Nothing may be written to
+    them.
 
     columns : of the field that was reduced
     fields : how many fields of slopes, each wrong all at once, are known beside what the error says

@@ -77,8 +77,12 @@ class SlopeError(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BallError:
-    """Slope error (2, h, w) of one ball in its window, the pixels that count, true slopes (2, h, w), the ball there,
-    its centre's column and row in widths of the field, and the window's first row and column."""
+    """Slope error (2, h, w) of one ball in its window.
+
+    inside, truth, ball : pixels that count, true slopes (2, h, w), and the ball in the window
+    place : centre of the ball, column and row in widths of the field
+    corner : first row and column of the window
+    """
 
     slope: Float64Array
     inside: MaskArray

@@ -1,6 +1,6 @@
 """Frames of a sensor that is plugged in, of the twin, or of a recording played in real time.
 
-A sensor that was unplugged is said so and looked for again. This is the one module of the workstation that opens
+An unplugged sensor is reported and looked for again. This is the one module of the workstation that opens
 hardware, and only that of a board profile.
 """
 
@@ -112,9 +112,9 @@ def is_sensor(source: int | str | Path) -> bool:
 
 
 def open_sensor(source: int | str | Path, shape: Shape, tell: Callable[[str], None] = lambda _: None) -> Sensor:
-    """Open a board profile's sensor by the profile's name or file, a camera by its number or /dev/video file, or a
-    recording, which is played in real time.
+    """Open the sensor of a board profile, a camera, or a recording, which is played in real time.
 
+    source : name or file of the profile, number or /dev/video file of the camera, or the recording
     shape : (H, W) of the calibration's frames, which a camera is asked for
     tell : is given a few words while the source is prepared
 

@@ -54,8 +54,9 @@ class _LabelRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def change_label(catalogue: Catalogue, key: str, body: bytes) -> Entry:
-    """Return the entry with the label of a request, which the library keeps in `labels.json`; scans themselves stay as
-    they are.
+    """Write the label of a request into the library's `labels.json`, and return the entry with it.
+
+    Scans themselves stay as they are.
 
     Raises
     ------

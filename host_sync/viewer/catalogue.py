@@ -139,8 +139,10 @@ class Catalogue:
 
 
 def _of_scan(scan: Path, hit: Hit, seen: Entry | None) -> Iterator[Entry | str]:
-    """Yield the results of a scan, newest first, else its quick look: `seen`, if it was read before. Errors are
-    yielded."""
+    """Yield the results of a scan, newest first, or its quick look where it has none.
+
+    Errors are yielded. `seen` is the quick look if it was read before.
+    """
     shown = 0
     for folder in sorted(_result_folders(scan / "results"), key=_changed_ns, reverse=True):
         try:

@@ -139,8 +139,10 @@ class MeasuredLine(Profile):
     samples_um: Float64Array | None
 
     def difference_sigma_um(self, first: int, last: int) -> float | None:
-        """Return the standard uncertainty of z[last] - z[first]: smaller than that of either, as most of their error is
-        common."""
+        """Return the standard uncertainty of z[last] - z[first]; None without samples.
+
+        It is smaller than that of either, as most of their error is common.
+        """
         if self.samples_um is None:
             return None
         return float(np.sqrt(np.mean((self.samples_um[:, last] - self.samples_um[:, first]) ** 2)))
