@@ -72,7 +72,7 @@ class CameraConfig(Table, frozen=True):
 
     @property
     def settings(self) -> CameraSettings:
-        """Return the same as a camera request."""
+        """Exposure and gain as a camera request."""
         return CameraSettings(self.exposure_us, self.analogue_gain)
 
 

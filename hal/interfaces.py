@@ -219,7 +219,7 @@ class PowerReading:
     complaints: tuple[str, ...] = ()
 
     def with_earlier(self, earlier: PowerReading) -> PowerReading:
-        """This reading combined with the problems of an earlier one."""
+        """Return this reading combined with the problems of an earlier one."""
 
         def either(one: bool | None, other: bool | None) -> bool | None:
             return one if other is None else other if one is None else one or other

@@ -74,7 +74,7 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
     @property
     def standard(self) -> tuple[StandardKind, str, float]:
-        """Return which standard was pressed: kind, name and certified value (µm)."""
+        """The standard that was pressed: kind, name and certified value (µm)."""
         return self.kind, self.name, self.value_um
 
     @property
@@ -108,7 +108,7 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
 
     @property
     def _other(self) -> str:
-        """Return which other ball it reads as, in words; empty if none."""
+        """The other ball that the reading fits, in words; empty if none."""
         if self.kind != "ball" or self.measured_um is None:
             return ""
         other_um = look_alike_um(self.value_um, self.limit_um, self.measured_um)

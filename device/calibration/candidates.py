@@ -144,7 +144,7 @@ class RegressorFit:
         return replace(found, root=scaled.astype(np.float32))
 
     def of_samples(self, samples: BallSamples, slope: Float64Array, shape: tuple[int, int]) -> RegressorFit:
-        """Return the same form and penalty for other samples of the same balls, whose true slopes are given."""
+        """Return the learner with its form and penalty fitted to other samples of the same balls."""
         reading, skin = _of_samples(self, samples, slope, shape)
         return fit_regressor(samples, shape, self.form, self.penalty, reading, flat=self.flat, skin=skin)
 
@@ -267,7 +267,7 @@ class Lesson:
     skin: GentleSkin | None = None
 
     def under(self, light: IlluminationMap) -> Lesson:
-        """Return the same with what its gentle slopes predict of others under `light` of untouched skin."""
+        """Return the lesson with gentle slopes that are predicted under `light` of untouched skin."""
         return replace(self, skin=GentleSkin.best(self.samples, self.slope, self.shape, light))
 
     def select_best(self, light: IlluminationMap | None = None) -> tuple[RegressorFit, float]:

@@ -80,7 +80,7 @@ class SlopeBand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseFit:
-    """A fitted map and what held-out balls say of it.
+    """A fitted map, and its errors on held-out balls.
 
     map : the inverse map, fitted to all kept balls
     balls : every ball in the order of the samples, with refined centres

@@ -190,7 +190,7 @@ def _digest(*arrays: NDArray[Any]) -> bytes:
 
 @cache
 def _pairs(degree: int, variables: int) -> NDArray[np.intp]:
-    """Return which monomial of twice the degree the product of two monomials is: int array of shape (M, M)."""
+    """Return the index of the monomial of twice the degree that is the product of two: int array of shape (M, M)."""
     exponents = colour_exponents if variables == 3 else position_exponents
     number = {exponent: at for at, exponent in enumerate(exponents(2 * degree))}
     own = exponents(degree)

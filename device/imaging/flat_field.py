@@ -86,7 +86,7 @@ class NormalizedImage:
         return self.valid & ~self.clipped
 
     def faithful_at(self, pixels: Any) -> MaskArray:
-        """Return the same at some pixels alone: a window, or indices."""
+        """Return `faithful` at some pixels alone: a window, or indices."""
         return np.asarray(self.valid[pixels] & ~self.clipped[pixels])
 
     @property

@@ -87,7 +87,7 @@ class InverseMap:
 
     @property
     def own_fraction(self) -> float:
-        """Its weight: what the curves of light and of the root leave."""
+        """Weight of `own`: what the curves of light and of the root leave."""
         return 1.0 - sum(part.share for part in (self.light, self.root) if part is not None)
 
     @property

@@ -99,7 +99,7 @@ class NearLightModel:
         return _solved(intensity, directions[:, 0], directions[:, 1], self.min_volume)
 
     def seen_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
+        """Return what `seen` does, of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
         place = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1).reshape(-1, 2)
         return self.seen(values.reshape(-1, 3), place.astype(np.float64)).reshape(values.shape)
 
@@ -246,7 +246,10 @@ def between_nodes(nodes: Float32Array, place: NDArray[Any]) -> Float32Array:
 
 
 def rows_between_nodes(nodes: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-    """Return the same for whole rows: shape (h, w, C) at position variables `across` (w,) and `down` (h,)."""
+    """Return what `between_nodes` does, for whole rows: shape (h, w, C).
+
+    across, down : position variables of the columns (w,) and rows (h,)
+    """
     left, right_share = _between(across, nodes.shape[1])
     top, down_share = _between(down, nodes.shape[0])
     coarse = nodes[top] + (nodes[top + 1] - nodes[top]) * down_share[:, None, None]

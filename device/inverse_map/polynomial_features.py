@@ -38,7 +38,7 @@ def monomials(variables: NDArray[Any], degree: int) -> NDArray[Any]:
 
 
 def monomial_rows(variables: NDArray[Any], degree: int) -> NDArray[Any]:
-    """Return the same with every monomial in a row: shape (M, N), from variables of shape (D, N)."""
+    """Return the monomials with each in a row: shape (M, N), from variables of shape (D, N)."""
     steps, factors = _steps(degree, len(variables)), np.ascontiguousarray(variables)
     rows = np.empty((len(steps) + 1, factors.shape[1]), factors.dtype)
     rows[0] = 1.0
@@ -65,7 +65,7 @@ def blocks_of(count: int, size: int = 4096) -> Iterator[slice]:
 
 @cache
 def _steps(degree: int, variables: int) -> list[tuple[int, int]]:
-    """Of every monomial but the constant: the monomial and the variable that it is the product of."""
+    """Return the monomial and the variable whose product each monomial is, without the constant."""
     exponents: list[tuple[int, ...]] = [*(colour_exponents(degree) if variables == 3 else position_exponents(degree))]
     number = {exponent: at for at, exponent in enumerate(exponents)}
     steps = []
@@ -134,7 +134,7 @@ class RandomFourierFeatures:
 
     @property
     def amplitude(self) -> float:
-        """Of each wave; 0 without waves."""
+        """Amplitude of each wave; 0 without waves."""
         return AMPLITUDE * float(np.sqrt(2.0 / self.count)) if self.count else 0.0
 
     def values(self, variables: NDArray[Any]) -> NDArray[Any]:

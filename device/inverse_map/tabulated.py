@@ -88,7 +88,7 @@ class TabulatedInverseMap:
         )
 
     def resized(self, shape: tuple[int, int], binning: int) -> TabulatedInverseMap:
-        """Return the same tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
+        """Return the tables for images of a full-size field of `shape` (H, W) that are binned by `binning`."""
         across, down = _place_powers(shape, binning)
         return replace(self, across=across, down=down)
 

@@ -148,7 +148,7 @@ class ReferenceModel:
         return _as_levels(found)
 
     def assume_untouched(self, intensity: NormalizedImage, shares: LightShares | None = None) -> UntouchedRegion:
-        """Return the same as `detect` for a frame that is known to be untouched: every block counts."""
+        """Return what `detect` does for a frame that is known to be untouched: every block counts."""
         ratio = self.ratio(intensity)
         return _region(shares.levels(ratio) if shares else ratio, np.ones(ratio.shape[:2], np.bool_))
 

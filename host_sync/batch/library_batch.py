@@ -96,14 +96,17 @@ def usable_memory(proc: Path = PROC, cgroups: Path = CGROUPS) -> int | None:
 
 
 def _available(proc: Path) -> Iterator[int]:
-    """Return what the kernel says is available, files' pages that it can drop among it."""
+    """Yield the memory that the kernel reports as available, with files' pages that it can drop."""
     found = _figures(proc / "meminfo").get("MemAvailable:")
     if found is not None:
         yield 1024 * found
 
 
 def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:
-    """Return what each control group (version 2) that holds this process has left; none where no group is bounded."""
+    """Yield the memory that each control group (version 2) that holds this process has left.
+
+    Nothing where no group is bounded.
+    """
     try:
         own = next(line[3:] for line in (proc / "self" / "cgroup").read_text().splitlines() if line.startswith("0::"))
     except (OSError, StopIteration):

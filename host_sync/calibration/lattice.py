@@ -192,7 +192,7 @@ def _spread_out(places: NDArray[np.intp]) -> bool:
 
 
 def _one_a_place(index: NDArray[np.intp], stray: Float64Array, near: MaskArray) -> MaskArray:
-    """Of balls that claim one place, the nearest alone."""
+    """Return, of balls that claim one place, the nearest alone."""
     kept = np.zeros(len(index), np.bool_)
     seen: set[tuple[int, int]] = set()
     for number in np.argsort(stray):

@@ -70,7 +70,7 @@ class PixelPitch:
 
     @property
     def disagreement(self) -> str:
-        """The sentence that says how the stated pitch is wrong, empty when it is not."""
+        """Sentence that states how the stated pitch is wrong, empty when it is not."""
         off = self.stated_um - self.pitch_um
         if abs(off) <= PITCH_COVERAGE * self.sigma_um:
             return ""
@@ -105,7 +105,9 @@ def read_pitch(
 
 
 def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPitch:
-    """Return the weighted mean of readings; where they differ by more than they say, that is its uncertainty.
+    """Return the weighted mean of readings.
+
+    Its uncertainty is their scatter where they differ by more than their own uncertainties.
 
     What is wrong with every ball alike does not average out.
 
@@ -194,7 +196,7 @@ class PoseModel:
 
     @property
     def name(self) -> str:
-        """As the report says it."""
+        """Name in the report."""
         return f"{self.plane} and radial distortion" if self.radial else self.plane
 
 

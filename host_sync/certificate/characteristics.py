@@ -113,7 +113,9 @@ def _lateral(checked: Sequence[CheckedSpecimen], axis: Literal["x", "y"]) -> Cha
 
 
 def _amplification(symbol: Symbol, name: str, points: Sequence[SpecimenResult], needed: str) -> Characteristic:
-    """Least squares through zero of measured over certified; `needed` is said where there is no point.
+    """Return the least-squares line through zero of measured over certified values, as a characteristic.
+
+    needed : reported where there is no point
 
     The scale is common to all specimens: their uncertainties are taken as fully correlated.
     """

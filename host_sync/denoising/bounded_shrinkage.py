@@ -56,7 +56,7 @@ class DetailShrinkage:
         return shrink_but_long_waves(image, self.shrinkage)
 
     def record(self) -> dict[str, Any]:
-        """Return what the calibration report says."""
+        """Return the entries of the calibration report."""
         return {
             "strength": self.strength,
             "noise_covariance": [[float(value) for value in row] for row in self.noise.covariance],

@@ -45,7 +45,7 @@ STEEPEST_PERCENT: Final = 99.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NullColour:
-    """The change of colour that no slope makes, and what it says of noise in slopes.
+    """The change of colour that no slope makes, and the noise of slopes that goes with it.
 
     channels : float32 array of shape (3, 3, 3), by terms of slope, terms of place, and channel: the changes of
         intensity, times these, add up to the residual

@@ -118,7 +118,7 @@ class FrameSet:
     states_diameters: bool = False
 
     def scaled_as(self, full_scale: int | None) -> FrameSet:
-        """Return the same with scans of a full scale that another set's frames show, where this one states none.
+        """Return the set with scans of a full scale that another set's frames show, where this one states none.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class FrameSet:
         return replace(self, scans=scans, full_scale=full_scale)
 
     def with_marks(self, marks_px: float) -> FrameSet:
-        """Return the same with scans without the printed marks that another set's frame of untouched skin shows."""
+        """Return the set with scans without the printed marks that another set's frame of untouched skin shows."""
         if self.reference is not None or not marks_px:
             return self
         scans = tuple(replace(scan, frame=replace(scan.frame, marks_px=marks_px)) for scan in self.scans)
@@ -301,7 +301,7 @@ def _light_names(file: FileTable, channels: int, path: Path) -> tuple[str, ...]:
 
 
 def _light_places(file: FileTable, path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Return where the lights stand; FrameSetError where the file says it of some of them only."""
+    """Return where the lights stand; FrameSetError where the file states it of some of them only."""
     known = tuple(light.position_mm for light in file.light if light.position_mm is not None)
     if known and len(known) != len(file.light):
         raise FrameSetError(f"{path}: light: position_mm is stated for {len(known)} of {len(file.light)} lights")

@@ -127,7 +127,7 @@ class Draft:
         return replace(self, presses=tuple(kept), notes=(*self.notes, note))
 
     def missing(self) -> list[str]:
-        """Return options that must be given, for what neither the files nor the user said."""
+        """Return the options that must be given, for what neither the files nor the user stated."""
         needs = []
         if self.pixel_pitch_um is None:
             needs.append(

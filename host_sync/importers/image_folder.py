@@ -128,7 +128,7 @@ def _largest_group(files: Sequence[Path]) -> list[Path]:
 
 
 def _spread(files: Sequence[Path]) -> list[Path]:
-    """At most `COMPARED` of them, spread evenly."""
+    """Return at most `COMPARED` of the files, spread evenly."""
     count = min(len(files), COMPARED)
     return [files[number * len(files) // count] for number in range(count)]
 

@@ -124,7 +124,7 @@ class Datum:
         return _no_datum_on(height, self.skin) if self.is_relative else _datum_on(height, self.skin)
 
     def at_rest(self, height: HeightMap, gradients: GradientField) -> Datum:
-        """Return the same with its zero where skin of a height map with these slopes will have sunk to rest."""
+        """Return the datum with its zero where skin of a height map with these slopes will have sunk to rest."""
         if self.is_relative:
             return self
         left_um = height_left_um(height, gradients, self.skin, self.zero_um)
@@ -187,7 +187,7 @@ def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> boo
 def _far_and_low(
     flat: MaskArray, valid: MaskArray, z_um: Float32Array, part_share: float = MIN_SHARE
 ) -> MaskArray | None:
-    """Of flat skin the lowest large parts, far from all other valid skin: bool array (H, W), None without such.
+    """Return the lowest large parts of flat skin, far from all other valid skin: bool (H, W), None without such.
 
     part_share : as of `_lowest_parts`
     """
@@ -328,7 +328,7 @@ MAX_SHARE: Final = 0.05
 
 
 def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArray, zero_um: float) -> float:
-    """By how much the zero lies above skin that is at rest, µm; 0 where free skin does not tell it.
+    """Return the height of the zero above skin that is at rest, µm; 0 where free skin does not show it.
 
     gradients : its slopes, arrays of shape (H, W)
     resting : bool array of shape (H, W), skin from which the zero was taken

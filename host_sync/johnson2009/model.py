@@ -114,7 +114,7 @@ class PaperModel:
 
     @property
     def residual_order_5(self) -> tuple[float, float, float]:
-        """Return the same for the harmonics up to order 5."""
+        """Root mean square residual of the harmonics up to order 5, intensity, one per channel."""
         return self.harmonics.residual
 
 

@@ -201,7 +201,7 @@ class SkinPlaces:
         return replace(self, level=(zero_um, across / self.pitch_um, down / self.pitch_um))
 
     def of_part(self, rows: slice, columns: slice) -> SkinPlaces:
-        """Return those of a part of the field, from the part's first pixel."""
+        """Return the places of a part of the field, from the part's first pixel."""
         across_um, down_um = self.middle_um
         left_um, top_um = columns.start * self.pitch_um, rows.start * self.pitch_um
         return replace(self, middle_um=(across_um - left_um, down_um - top_um))

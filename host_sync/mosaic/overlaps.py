@@ -240,7 +240,7 @@ class Motion:
         return np.asarray(places @ turning(self.turn).T + (self.down, self.right), np.float64)
 
     def then(self, other: Motion) -> Motion:
-        """This motion and the other after it."""
+        """Return this motion and the other after it."""
         down, right = other.of(np.array([self.down, self.right]))
         return Motion(float(down), float(right), self.turn + other.turn)
 

@@ -188,7 +188,7 @@ def used_samples(profile: Profile, edges: StepEdges) -> MaskArray:
 
 
 def room_share(profile: Profile, edges: StepEdges) -> float:
-    """Return which fraction of the profile that a step should use the line holds; 1 for grooves and given edges."""
+    """Return the fraction of the profile a step should use that the line holds; 1 for grooves and given edges."""
     if edges.kind != "step" or not edges.flank_um:
         return 1.0
     edge = edges.places_um[0]

@@ -177,7 +177,7 @@ def _read_channels(
     sequence: LightSequence | None = None,
     is_first: bool = True,
 ) -> tuple[ChannelReading, list[str]]:
-    """Return what three channels say, the first ones or others, and what speaks against them."""
+    """Return the slopes that three channels show, the first ones or others, and what speaks against them."""
     if isinstance(frame, RawFrame):
         intensity = raw_intensity(frame, calibration.flat_field)
     else:

@@ -70,7 +70,7 @@ def write_trend(path: Path, measurements: Sequence[Measurement]) -> None:
 
 
 def chosen_trends(measurements: Sequence[Measurement]) -> list[tuple[Quantity, list[Quantity | None], Trend]]:
-    """Return those of the numbers that have a tolerance, or of the first ones, as `trends` has them.
+    """Return the first trends of numbers that have a tolerance, or of all numbers where none has.
 
     Raises
     ------

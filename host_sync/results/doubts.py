@@ -153,7 +153,7 @@ class _Certificate(msgspec.Struct, frozen=True):
 
 
 def _check_standards(folder: Path, calibration_id: str | None, bundle: str | None) -> Iterator[Doubt]:
-    """Return what certificates beside the result or its calibration say of the calibration that it was made with.
+    """Yield the doubt that a certificate beside the result or its calibration states of the calibration.
 
     calibration_id : None takes every certificate
     """
@@ -167,7 +167,7 @@ def _check_standards(folder: Path, calibration_id: str | None, bundle: str | Non
 
 
 def check_standard(folder: Path, record: ResultRecord) -> str:
-    """Return what certificates say of the calibration: "agrees: step 100, ball"; empty without one."""
+    """Return the verdict of certificates on the calibration: "agrees: step 100, ball"; empty without one."""
     for place in _certificate_places(folder, record.calibration_bundle):
         found = _decoded(place, _Certificate)
         if found is not None and found.calibration_id == record.calibration_id:

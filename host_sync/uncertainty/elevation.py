@@ -34,7 +34,7 @@ NEAREST_SHARE: Final = 0.2
 
 
 class ElevationCorrection(msgspec.Struct, frozen=True):
-    """Of the balls of a calibration.
+    """Elevation of the balls of a calibration, by which slopes are corrected.
 
     apex_px : elevation of their apexes over untouched skin, pixels
     radius_px : their radius, pixels
@@ -47,7 +47,7 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
     nearness_per_px: float
 
     def steeper(self, z_px: Float32Array, square: Float32Array) -> Float32Array:
-        """By what share slopes are read too steep; arrays of one shape.
+        """Return the fraction by which slopes are read too steep; arrays of one shape.
 
         z_px : elevation, pixels
         square : p² + q²
@@ -60,11 +60,11 @@ class ElevationCorrection(msgspec.Struct, frozen=True):
         return np.asarray(np.maximum(np.float32(self.apex_px) - drop, np.float32(0.0)))
 
     def shared(self, share: float) -> ElevationCorrection:
-        """Return the same for lights of which only a share of their nearness is there."""
+        """Return the correction for lights of which only a share of their nearness is there."""
         return ElevationCorrection(self.apex_px, self.radius_px, share * self.nearness_per_px)
 
     def enlarged(self, factor: float) -> ElevationCorrection:
-        """Return the same in frames with `factor` times as many pixels in each direction."""
+        """Return the correction in frames with `factor` times as many pixels in each direction."""
         return ElevationCorrection(factor * self.apex_px, factor * self.radius_px, self.nearness_per_px / factor)
 
 
@@ -156,6 +156,6 @@ def _of_points(
 
 
 def _changes(shape: tuple[int, int]) -> list[tuple[int, float]]:
-    """Return the features that say how a changes along the axis of its component, and pixels in a unit of position."""
+    """Return the features by which a changes along the axis of its component, and pixels in a unit of position."""
     exponents = position_exponents(PLACE_DEGREE)
     return [(2 * exponents.index((1, 0)), 0.5 * shape[1]), (2 * exponents.index((0, 1)) + 1, 0.5 * shape[0])]

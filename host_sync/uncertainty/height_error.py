@@ -314,7 +314,7 @@ def slope_draws(error: SlopeError, size: tuple[int, int], columns: int, fields: 
 
 @lru_cache(maxsize=1)
 def _drawn(size: tuple[int, int], shared_count: int, local_count: int, patch_px: float) -> SlopeDraws:
-    """So many numbers that are shared by the field of `size` (w, h), and curves that are local in it."""
+    """Return numbers that the field of `size` (w, h) shares, and curves that are local in it."""
     rng = np.random.default_rng(0)
     shared = _normals(rng, shared_count)
     places = local_normals(rng, (SAMPLES, local_count, PLACES * size[1] // size[0] + 1, PLACES))
