@@ -220,10 +220,7 @@ class BoardProfile(Table, frozen=True):
 
     @property
     def pupil_height_mm(self) -> float | None:
-        """Height of the entrance pupil over the untouched skin, as rays inside the gel see it.
-
-        None if neither [camera] nor [lens] states it.
-        """
+        """Height of the entrance pupil over the untouched skin, as rays inside the gel see it; None if not stated."""
         if self.camera.pupil_height_mm is not None or self.lens is None:
             return self.camera.pupil_height_mm
         return self.lens.pupil_height_mm(self.sensor.pixel_pitch_um)

@@ -163,7 +163,7 @@ def _recentred(samples: BallSamples, balls: Sequence[Ball], slope: Float64Array,
 
 
 def _following(errors: Float64Array, far_out: MaskArray) -> MaskArray:
-    """False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel.
+    """Return False for balls whose error stands out (hair, lift-off, a label from another frame) or that show no pixel.
 
     far_out : bool array of shape (balls,), True for balls whose error may stand out as far as that of one of few balls
     """
@@ -175,7 +175,7 @@ def _following(errors: Float64Array, far_out: MaskArray) -> MaskArray:
 
 
 def _outer(balls: Sequence[Ball]) -> MaskArray:
-    """True for balls that have a side without another ball: bool array of shape (balls,)."""
+    """Return True for balls that have a side without another ball: bool array of shape (balls,)."""
     centre = np.array([[ball.column, ball.row] for ball in balls])
     open_side = np.zeros(len(balls), np.bool_)
     for number, at in enumerate(centre):

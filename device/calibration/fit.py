@@ -219,7 +219,7 @@ def begin_fit(
 
 
 def _in_core(samples: BallSamples, balls: Sequence[Ball]) -> MaskArray:
-    """True for samples within `CORE_SHARE` of their ball's contact: bool array of shape (N,)."""
+    """Return True for samples within `CORE_SHARE` of their ball's contact: bool array of shape (N,)."""
     centre = np.array([[ball.column, ball.row] for ball in balls])[samples.ball]
     reach = CORE_SHARE * np.array([ball.contact_radius_px for ball in balls])[samples.ball]
     return np.asarray(np.hypot(samples.column - centre[:, 0], samples.row - centre[:, 1]) <= reach)
@@ -331,7 +331,7 @@ def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
 
 
 def _thinned(samples: BallSamples, count: int) -> BallSamples:
-    """At most `count` samples, drawn without replacement from a fixed seed."""
+    """Return at most `count` samples, drawn without replacement from a fixed seed."""
     if len(samples.p) <= count:
         return samples
     return samples.select(np.sort(np.random.default_rng(0).permutation(len(samples.p))[:count]))

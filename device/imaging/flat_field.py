@@ -113,7 +113,7 @@ def demosaic(frame: RawFrame) -> LinearFrame:
 
 
 def _clipped_neighbourhood(frame: RawFrame) -> MaskArray:
-    """True where a pixel's own count, or one that demosaicing mixes into it, is saturated."""
+    """Return True where a pixel's own count, or one that demosaicing mixes into it, is saturated."""
     limit = frame.black_level_dn + SATURATED * (frame.white_level_dn - frame.black_level_dn)
     clipped = (frame.mosaic >= limit).astype(np.uint8)
     return cv2.dilate(clipped, np.ones((3, 3), np.uint8)).astype(bool)
@@ -245,7 +245,7 @@ def check_same_size(shape: tuple[int, ...], flat_field: Float32Array) -> None:
 
 
 def estimate_flat_field(frames: list[LinearFrame], degree: int = 6) -> Float32Array:
-    """Robust polynomial of log colour over position, fitted to all frames.
+    """Return a robust polynomial of log colour over position, fitted to all frames.
 
     Most of every frame shows untouched skin, so an iteratively reweighted fit finds it.
     Returns a float32 array of shape (H, W, N), fraction of full scale; N is the frames' number of channels.

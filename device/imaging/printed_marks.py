@@ -87,7 +87,7 @@ class MarkPattern:
         return f"printed marks cover {self.covered:.0%} of the skin: heights under them are interpolated"
 
     def hidden(self, frame: LinearFrame) -> MaskArray:
-        """True under the marks of a frame and their borders: bool array of shape (H, W)."""
+        """Return True under the marks of a frame and their borders: bool array of shape (H, W)."""
         under, _, _ = _marks(frame.rgb, REACH * self.width_px, 0.5 * self.width_px)
         border = 2 * max(2, round(MARGIN * self.width_px)) + 1
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (border, border))

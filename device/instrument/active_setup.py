@@ -120,7 +120,7 @@ class ActiveSetup:
         self.report_check()
 
     def begin_check(self) -> None:
-        """The next press is of the check standard; once more: it is not."""
+        """Make the next press one of the check standard; a second call takes that back."""
         self.report_check()
         check = self._states.state.check
         if check.standard is None:

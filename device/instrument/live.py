@@ -81,7 +81,7 @@ class LiveLoop:
         self._awake_ns = self._hardware.clock.monotonic_ns()
 
     def lights_changed(self) -> None:
-        """Other code switched the lights; the next step switches them on again."""
+        """Switch the lights on again in the next step, for other code switched them."""
         self._lit = False
 
     def rest(self) -> None:

@@ -303,7 +303,7 @@ class StateStore:
 
 
 def status_summary(state: InstrumentState) -> str:
-    """Free space, battery and supply complaints in sentences, each after a blank."""
+    """Return free space, battery and supply complaints in sentences, each after a blank."""
     room = "" if state.scans_left is None else f" Room for {state.scans_left} scans."
     battery = "" if state.power.battery_share is None else f" Battery {state.power.battery_share:.0%}."
     return (

@@ -90,14 +90,14 @@ def _spread_over(frames: Sequence[NormalizedImage]) -> list[NormalizedImage]:
 
 
 def _fine(image: NormalizedImage, row: NDArray[np.intp], column: NDArray[np.intp]) -> Float32Array:
-    """By how much pixels differ from their surroundings: float32 array of shape (N, 3), 0 where clipped or invalid."""
+    """Return the difference of pixels from their surroundings: float32 (N, 3), 0 where clipped or invalid."""
     values = np.ascontiguousarray(image.values)
     own = values[row, column] - cv2.GaussianBlur(values, (0, 0), REFERENCE_BLUR_PX)[row, column]
     return np.where(image.faithful_at((row, column))[:, None], own, np.float32(0.0))
 
 
 def _typical_noise(noises: Sequence[Float32Array], cell: NDArray[np.intp], count: int) -> Float32Array:
-    """For every pixel the noise of that frame which is the median one in its cell, by power."""
+    """Return for every pixel the noise of that frame which is the median one in its cell, by power."""
     stack = np.stack(noises)
     power = np.stack([np.bincount(cell, (noise**2).sum(axis=1), count) for noise in noises])
     middle = np.argsort(power, axis=0)[(len(noises) - 1) // 2]

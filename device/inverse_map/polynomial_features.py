@@ -117,14 +117,14 @@ class RandomFourierFeatures:
 
     @classmethod
     def sample(cls, seed: int = 1) -> RandomFourierFeatures:
-        """`WAVES` waves whose sums bend over `BEND_LENGTH`; the same ones each time."""
+        """Return `WAVES` waves whose sums bend over `BEND_LENGTH`; the same ones each time."""
         random = np.random.default_rng(seed)
         direction = random.standard_normal((3, WAVES)) / BEND_LENGTH
         return cls(direction.astype(np.float32), random.uniform(0.0, 2.0 * np.pi, WAVES).astype(np.float32))
 
     @classmethod
     def none(cls) -> RandomFourierFeatures:
-        """No wave: the curve is a polynomial."""
+        """Return no wave: the curve is a polynomial."""
         return cls(np.zeros((3, 0), np.float32), np.zeros(0, np.float32))
 
     @property

@@ -307,7 +307,7 @@ def _cell_logs(
 
 
 def _far_from(balls: Sequence[Ball], shape: tuple[int, int], size: tuple[int, int]) -> MaskArray:
-    """True for cells that lie farther than `FREE_RADII` from every ball: bool array of shape (h, w)."""
+    """Return True for cells farther than `FREE_RADII` from every ball: bool array of shape (h, w)."""
     row, column = ((np.arange(count) + 0.5) * length / count - 0.5 for count, length in zip(size, shape, strict=True))
     far = np.ones(size, np.bool_)
     for ball in balls:

@@ -252,7 +252,7 @@ def _blocks(values: Float32Array) -> tuple[Float32Array, Float32Array]:
 
 
 def _agreeing(ratio: Float32Array, quiet: MaskArray, window: Float32Array, per_change: float) -> MaskArray:
-    """Quiet blocks near the median, found by repeated outlier rejection."""
+    """Return the quiet blocks near the median, found by repeated outlier rejection."""
     kept = quiet
     for wider in (4.0, 2.0, 1.0, 1.0):
         if not kept.any():
@@ -272,7 +272,7 @@ def _unevenness(levels: Float32Array) -> Float32Array:
 
 
 def _at_border(shape: tuple[int, ...]) -> MaskArray:
-    """True in the blocks of the border; bool array of `shape` (rows, columns)."""
+    """Return True in the blocks of the border; bool array of `shape` (rows, columns)."""
     border = np.ones(shape, np.bool_)
     border[BORDER_BLOCKS:-BORDER_BLOCKS, BORDER_BLOCKS:-BORDER_BLOCKS] = False
     return border

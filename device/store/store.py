@@ -284,7 +284,7 @@ class BundleStore:
 
     @contextmanager
     def _translating(self, verb: str) -> Iterator[None]:
-        """Turns the system's errors into one sentence that names the store and what to do."""
+        """Turn the system's errors into one sentence that names the store and what to do."""
         try:
             yield
         except (DeviceError, HalError):

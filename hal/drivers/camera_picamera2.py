@@ -172,7 +172,7 @@ class PicameraCamera:
         )
 
     def _ended_ns(self, metadata: Mapping[str, Any]) -> int:
-        """When a frame's read-out ended, within a frame period."""
+        """Return when a frame's read-out ended, within a frame period."""
         stamped_ns = int(self._metadata_value(metadata, "SensorTimestamp"))
         age_s = (self._clock.monotonic_ns() - stamped_ns) * 1e-9
         if not -0.001 <= age_s <= MAX_FRAME_AGE_S:

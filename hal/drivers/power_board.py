@@ -114,7 +114,7 @@ def throttle_reading(text: str) -> PowerReading:
 
 
 def read_throttled_file(path: Path = THROTTLED_FILE) -> str:
-    """Throttle bits from the kernel.
+    """Return the throttle bits from the kernel.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def read_throttled_file(path: Path = THROTTLED_FILE) -> str:
 
 
 def run_vcgencmd(program: str = "vcgencmd") -> str:
-    """Throttle bits from the firmware's own tool.
+    """Return the throttle bits from the firmware's own tool.
 
     Raises
     ------

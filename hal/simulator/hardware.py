@@ -19,7 +19,7 @@ from hal.simulator.operator import TwinOperator
 
 
 def twin_hardware(bench: SimulatedScene) -> Hardware:
-    """Camera, lights, button and operator of one simulated world."""
+    """Return camera, lights, button and operator of one simulated world."""
     return Hardware(
         profile=bench.profile,
         camera=TwinCamera(bench),
@@ -265,7 +265,7 @@ def mirrored_board_hardware(
 
 
 def _mirroring(open_bus: OpenBus, config: LightDriverConfig, model: LedDriverModel) -> Callable[[int], SmBus]:
-    """Opens buses; that of the light driver is mirrored."""
+    """Return a function that opens buses and mirrors that of the light driver."""
 
     def opened(number: int) -> SmBus:
         bus = open_bus(number)

@@ -44,7 +44,7 @@ class RegisterChip:
         self.changed()
 
     def write(self, control: int, data: Iterable[int]) -> None:
-        """A write transfer: a control byte and data."""
+        """Receive a write transfer: a control byte and data."""
         register, step = self._start(control)
         for value in data:
             if register not in self._read_only:
@@ -62,7 +62,7 @@ class RegisterChip:
         return shown
 
     def written(self, register: int, value: int) -> None:
-        """Effect of a write to one register."""
+        """Store a value that is written to one register."""
         self.registers[register] = value
 
     def shown(self, register: int) -> int:

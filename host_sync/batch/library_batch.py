@@ -79,7 +79,10 @@ def worker_bytes(shape: tuple[int, int]) -> int:
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on: fewer than the computer's where a service or container is confined."""
+    """Return the cores that this process may run on: fewer than the computer's if it is confined.
+
+    A service or a container confines it.
+    """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -62,7 +62,7 @@ class _File(msgspec.Struct, frozen=True):
 
 @contextmanager
 def only_watch(library: Library) -> Iterator[None]:
-    """Context in which no other watch works on a library.
+    """Enter a context in which no other watch works on a library.
 
     Raises
     ------

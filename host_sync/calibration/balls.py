@@ -207,7 +207,7 @@ def cut_to_core(press: UsedPress) -> UsedPress:
 
 
 def add_detections(press: UsedPress) -> UsedPress:
-    """`relocate_labels`, and after those balls all others that are seen."""
+    """Return the press as `relocate_labels` does, with all other balls that are seen after those."""
     at_labels = relocate_labels(press)
     beyond = tuple(ball for ball in _as_wide_as_labels_say(press) if not _is_one_of(ball, press.balls))
     return replace(at_labels, balls=at_labels.balls + beyond)

@@ -119,14 +119,14 @@ def _mean(values: Float64Array) -> float:
 
 
 def contradicts(shares: Float64Array) -> MaskArray:
-    """True for balls whose radius stands out of the others: bool array of shape (number of balls,)."""
+    """Return True for balls whose radius stands out of the others: bool array of shape (number of balls,)."""
     off = np.abs(shares / np.nanmedian(shares) - 1.0)
     usual = NORMAL_MAD * float(np.nanmedian(off))
     return np.asarray(off > max(CONTRADICTS, STANDS_OUT * usual))
 
 
 def left_out(shares: Float64Array, at_most: float) -> MaskArray:
-    """True for balls that are left out, `at_most` so many: bool array of shape (number of balls,).
+    """Return True for balls that are left out, `at_most` so many: bool array of shape (number of balls,).
 
     These are the ones that contradict the others, and after them the farthest from the median until the spread of the
     rest is small enough. Where that takes too many, the first ones alone; where they are too many, none.

@@ -84,7 +84,10 @@ def with_stated_pitch(scale: ScaleUncertainty, pitch_um: float, tolerance: float
 
 
 def _radius_share(presses: Sequence[PressFrame], shares: Float64Array, radii_px: Float64Array) -> float | None:
-    """From the stated tolerances; else from balls of several sizes, by how far shading puts each size from the rest."""
+    """Return the relative uncertainty of the radius, from the stated tolerances.
+
+    Else from balls of several sizes, by how far shading puts each size from the rest.
+    """
     tolerances = [press.radius_tolerance for press in presses if press.radius_tolerance is not None]
     if tolerances:
         return RECTANGLE * max(tolerances)

@@ -37,7 +37,7 @@ def extrapolated(
     q: Float32Array,
     strange: MaskArray | None = None,
 ) -> MaskArray:
-    """True where a slope lies beyond the calibration's training data, shape (H, W).
+    """Return True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
     strange : `strange_blocks` of the image, where it was computed before

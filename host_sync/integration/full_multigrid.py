@@ -52,10 +52,7 @@ def direct_solver(level: GridLevel) -> DirectSolver:
 
 
 def pseudo_inverse(level: GridLevel) -> Float64Array:
-    """Return the pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W).
-
-    It solves by least squares; free means are zero.
-    """
+    """Return the pseudo-inverse of a small level's Laplacian, float64 array (H·W, H·W); free means are zero."""
     weight_x, weight_y = (weights.astype(np.float64) for weights in edge_weights(level))
     rows, columns = level.shape
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -86,7 +83,7 @@ def _solve_by_inverse(inverse: Float64Array, level: GridLevel) -> None:
 
 
 def _solve_by_cosines(level: GridLevel) -> None:
-    """In double precision: single precision leaves errors in the longest waves, which no finer level removes."""
+    """Solve in double precision: single precision leaves errors in the longest waves, which no finer level removes."""
     threads = get_num_threads()
     spectrum = dctn(level.rhs.astype(np.float64), type=2, norm="ortho", overwrite_x=True, workers=threads)
     spectrum *= _inverse_eigenvalues(level.shape)
@@ -154,10 +151,7 @@ def nested_cycles(levels: list[GridLevel], solve: DirectSolver, cycles: int, aft
 
 @cache
 def smoothing(times: int = 1) -> Float32Array:
-    """Return the relaxation factors of `times` smoothings, float32 array.
-
-    Give 2 between one correction and the next: one after the first, one before the second.
-    """
+    """Return the relaxation factors of `times` smoothings, 2 between one correction and the next, float32 array."""
     return np.tile(chebyshev_steps(SWEEPS), times)
 
 
@@ -236,10 +230,7 @@ def _conjugate_gradients(
     solution: Solution,
     max_cycles: int,
 ) -> Solution:
-    """Return the solution by conjugate gradients, preconditioned by V-cycles on undamped levels.
-
-    They cannot diverge.
-    """
+    """Return the solution by conjugate gradients with V-cycles on undamped levels; it cannot diverge."""
     finest = build_level(field)
     solve = _coarse_solution(field, levels, 0.0).solve
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)

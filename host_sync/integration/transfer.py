@@ -116,7 +116,7 @@ def add_correction(z: Float32Array, coarse: Float32Array) -> None:
 def add_weighted_correction(
     z: Float32Array, coarse: Float32Array, weight: Float32Array, components: Components
 ) -> Float64Array:
-    """As `add_correction`, between holes; returns the moments Σ w z of the corrected heights.
+    """Add a correction between holes, and return the moments Σ w z of the corrected heights.
 
     weight : float32 array of shape (H, W), 0 at holes, across which nothing is interpolated
     """
@@ -164,7 +164,7 @@ def _add_row(near: Any, far: Any, weight: Any, beyond: Any, z: Any) -> None:
 
 @njit(cache=True, fastmath=CONTRACT)
 def _add_cell(cell: int, near: Any, far: Any, weight: Any, beyond: Any, z: Any) -> None:
-    """As `_add_row` for one cell, which may be at an end of the row."""
+    """Add one cell as `_add_row` does, which may be at an end of the row."""
     quarter, zero, last = np.float32(0.25), np.float32(0.0), near.size - 1
     for c in range(2 * cell, min(2 * cell + 2, z.size)):
         towards = 2 * (c % 2) - 1

@@ -290,7 +290,7 @@ def distance_px(to: MaskArray) -> Float32Array:
 
 @contextmanager
 def _own_code() -> Iterator[None]:
-    """Context in which this thread's calls of OpenCV use no code of Intel's library."""
+    """Enter a context in which this thread's calls of OpenCV use no code of Intel's library."""
     before = cv2.ipp.useIPP()
     cv2.ipp.setUseIPP(False)
     try:

@@ -177,10 +177,7 @@ class Autocorrelation:
         self._pairs = np.maximum(np.rint(self._products(valid.astype(np.float32))), np.float32(0.0))
 
     def of(self, z_um: Float32Array) -> Float32Array:
-        """Return the autocorrelation, float32 array of shape (2 h + 1, w + 1); NaN with too few pairs.
-
-        Shift (0, 0) is at (h, 0).
-        """
+        """Return the autocorrelation: float32 (2 h + 1, w + 1), shift (0, 0) at (h, 0), NaN with too few pairs."""
         count = float(self._valid.sum())
         level = np.float32(z_um[self._valid].mean(dtype=np.float64)) if count else np.float32(0.0)
         products = self._products(np.where(self._valid, z_um - level, np.float32(0.0)))

@@ -97,7 +97,7 @@ class _KernelCache(_Cache):
         self._enabled = False
 
     def flush(self) -> None:
-        """Nothing needs to be flushed: what is out of date has another name."""
+        """Do nothing: what is out of date has another name."""
 
     def load_overload(self, signature: object, target_context: Any) -> object | None:
         target_context.refresh()

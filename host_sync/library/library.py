@@ -271,7 +271,7 @@ class Library:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Prepares the folder and keeps other writers out; unfinished bundles stay, to be completed."""
+        """Prepare the folder and keep other writers out; unfinished bundles stay, to be completed."""
         with ExitStack() as stack:
             with self.translating("written"):
                 for kind in MANIFESTS:
@@ -287,7 +287,7 @@ class Library:
 
     @contextmanager
     def publishing(self, kind: BundleKind, bundle_id: str, synced: Collection[str] = ()) -> Iterator[Path]:
-        """Directory for a bundle's files, published read-only when the block ends well.
+        """Yield a directory for a bundle's files, published read-only when the block ends well.
 
         synced : names of files that will be on the disk by then
 
@@ -348,7 +348,7 @@ class Library:
 
     @contextmanager
     def translating(self, verb: str) -> Iterator[None]:
-        """Turns the system's errors into one sentence that names the library."""
+        """Turn the system's errors into one sentence that names the library."""
         try:
             yield
         except (HostError, DeviceError):

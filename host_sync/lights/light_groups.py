@@ -87,7 +87,7 @@ class LightGroups:
         ]
 
     def left_out(self, frame: LinearFrame) -> list[MaskArray]:
-        """For each group where one of its lights is hidden, mirrored or saturated: bool arrays of shape (H, W)."""
+        """Return where a light of each group is hidden, mirrored or saturated: bool arrays of shape (H, W)."""
         off = np.abs(_disagreement(self.matt, frame, self.flat_field)) / self.matt.tolerance
         worst = np.argmax(off, axis=-1)
         hidden = off.max(axis=-1) > 1.0
@@ -184,7 +184,7 @@ def joined(gradients: Sequence[GradientField], left_out: Sequence[MaskArray]) ->
 
 
 def _disagreement(matt: MattLights, frame: LinearFrame, flat_field: Float32Array) -> Float64Array:
-    """By how much each light differs from what the others predict, in cells: (h, w, N)."""
+    """Return the difference of each light from what the others predict, in cells: (h, w, N)."""
     rows, columns = frame.shape
     size = (max(columns // CELL_PX, 1), max(rows // CELL_PX, 1))
     cells = []
@@ -258,7 +258,7 @@ class MattLights:
         return NEAR_DEGREE if self.directions.shape[1] == len(position_exponents(NEAR_DEGREE)) else FAR_DEGREE
 
     def disagreement(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """By how much each light differs from what the others predict: (n, N), 0 where they predict nothing.
+        """Return the difference of each light from what the others predict: (n, N), 0 where they predict nothing.
 
         intensity : float32 array of shape (n, N)
         place : position variables, float64 array of shape (n, 2)

@@ -219,7 +219,7 @@ class ArealMeasurand:
         return {"": tuple(every)} | self._spatial_warnings()
 
     def definition_sigmas(self) -> Mapping[str, float]:
-        """By how much the pixels that are left out for their slopes change each parameter: none where all are kept."""
+        """Return the change of each parameter by the pixels left out for their slopes; none where all are kept."""
         if self._whole is None:
             return {}
         whole, height_um, part_um = self._whole

@@ -50,7 +50,7 @@ class Region:
 
 
 def between_places(z_um: Float32Array, places: SkinPlaces, start: Float64Array, end: Float64Array) -> dict[str, float]:
-    """Lateral distance, height difference and distance in space, µm, and slope angle, degrees, between two places.
+    """Return lateral distance, height difference, distance in space (µm) and slope angle (°) of two places.
 
     start, end : (column, row) on the grid of pixels, µm; their heights are means of the valid pixels within one
         and a half pixels
@@ -303,7 +303,7 @@ MAX_WIDTH_PX: Final = 32_000
 
 
 def painted(strokes: Sequence[MaskTable], shape: tuple[int, int], pitch_um: float) -> MaskArray:
-    """True where a stroke lies: bool array of shape (H, W)."""
+    """Return True where a stroke lies: bool array of shape (H, W)."""
     mask = np.zeros(shape, np.uint8)
     for stroke in strokes:
         places = np.rint(np.array(stroke.points_um) / pitch_um * 2**SHIFT).astype(np.int64)

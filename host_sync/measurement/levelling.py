@@ -87,7 +87,7 @@ class Levelling:
         return lambda z_um: np.asarray(inverse @ z_um[row, column].astype(np.float64), np.float64)
 
     def _along(self, line: Line, height: HeightMap) -> Callable[[Float32Array], Float64Array]:
-        """As `_through`, with no slope across the line."""
+        """Return what `_through` does, with no slope across the line."""
         start, end = (np.array(place) / height.pitch_um for place in (line.start_um, line.end_um))
         length = float(np.hypot(*(end - start)))
         count = int(length) + 1

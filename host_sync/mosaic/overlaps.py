@@ -96,7 +96,7 @@ def candidates(presses: list[Small], layout: Layout | None = None) -> list[Candi
 
 
 def _overlap(rows: int, columns: int, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], Float32Array]:
-    """For each shift: whether enough overlaps, and one over the noise of the correlation."""
+    """Return for each shift whether enough overlaps, and one over the noise of the correlation."""
     down, right = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
     area = np.maximum(rows - down, 0)[:, None] * np.maximum(columns - right, 0)[None, :]
     enough = area >= MIN_OVERLAP * rows * columns

@@ -159,7 +159,7 @@ class DirectorySource:
             folder.rename(place, new_place)
 
     def clock_offset_s(self) -> None:
-        """A folder has no clock."""
+        """Return None: a folder has no clock."""
         return
 
     def _next_block(self, stream: BinaryIO, place: str) -> bytes:
@@ -168,7 +168,7 @@ class DirectorySource:
 
     @contextmanager
     def _refusing(self, place: str, verb: str, remedy: str | None = None) -> Iterator[None]:
-        """Turns the system's errors into a sentence; when the whole card is gone, into `SourceLost`."""
+        """Turn the system's errors into a sentence; when the whole card is gone, into `SourceLost`."""
         try:
             yield
         except OSError as error:
@@ -235,7 +235,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """From "host", "host:port", "[address of IPv6]:port" or the bare address."""
+        """Return the address in "host", "host:port", "[address of IPv6]:port" or the bare address."""
         found = re.fullmatch(r"\[(?P<v6>[^]]+)\](:(?P<v6_port>\d+))?|(?P<host>[^][:]+)(:(?P<port>\d+))?", text)
         if found is None and text.count(":") > 1 and "[" not in text:
             return cls(text, None)
@@ -263,7 +263,7 @@ def is_folder(name: str) -> bool:
 
 @contextmanager
 def open_source(name: str, devices: PairedDevices, at: Address | None = None) -> Iterator[Source]:
-    """A source to pull from.
+    """Open a source to pull from.
 
     Raises
     ------
@@ -283,7 +283,10 @@ def open_source(name: str, devices: PairedDevices, at: Address | None = None) ->
 def open_device(
     device: PairedDevice, devices: PairedDevices, at: Address | None = None, patience_s: float = PATIENCE_S
 ) -> Iterator[Source]:
-    """A paired device as a source; without data it is given up after `patience_s`. Errors as for `open_source`."""
+    """Open a paired device as a source; without data it is given up after `patience_s`.
+
+    Errors are those of `open_source`.
+    """
     from host_sync.offload.paired_devices import new_private_key
     from host_sync.offload.sftp import SftpSource
     from host_sync.offload.sftp_link import ReconnectingSftp, Timeouts

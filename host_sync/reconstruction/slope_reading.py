@@ -52,7 +52,7 @@ class Meanwhile:
         method: Method,
         is_first: bool,
     ) -> Meanwhile:
-        """That of a frame as seen and with its noise shrunk, the same where none was.
+        """Return the results of a frame as seen and with its noise shrunk, the same where none was.
 
         is_first : whether these are the first three lights
         """

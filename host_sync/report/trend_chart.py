@@ -87,7 +87,7 @@ def chosen_trends(measurements: Sequence[Measurement]) -> list[tuple[Quantity, l
 def draw_chart(
     axes: Axes, example: Quantity, row: Sequence[Quantity | None], trend: Trend, names: Sequence[str]
 ) -> None:
-    """The control chart of a number: values with their ±, mean, control limits and tolerance.
+    """Draw the control chart of a number: values with their ±, mean, control limits and tolerance.
 
     row : the number of each result, None where it has none; results beyond the control limits are named
     """

@@ -235,7 +235,7 @@ def _within(values: Float32Array) -> Float32Array:
 
 
 def _gain(z_um: Float32Array, rest: Float32Array) -> float:
-    """By how much the second reads heights larger: median of ratios where the surface is high in its band."""
+    """Return the relative gain of the second's heights: median of ratios where the surface is high in its band."""
     relief, off = (_within(values) for values in (z_um, rest))
     known = np.isfinite(relief) & np.isfinite(off)
     if not known.any():

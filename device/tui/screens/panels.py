@@ -164,7 +164,7 @@ def _check_words(check: CheckState) -> str:
 
 
 def _deviation_um(check: CheckRecord) -> float:
-    """Measured minus certified value; of what did not show, the limit: it is drawn at the edge of what is allowed."""
+    """Return measured minus certified value; of what did not show, the limit, so that it is drawn at the edge."""
     return check.limit_um if check.measured_um is None else check.measured_um - check.value_um
 
 
@@ -307,7 +307,7 @@ def plan_text(plan: CaptureSettings) -> str:
 
 
 def balance_lines(found: ExposureBalance, columns: int) -> list[str]:
-    """Before and after, and what limits it."""
+    """Return the settings before and after the balance, and what limits it."""
     before, after = found.before, found.plan
     rows = [
         (name, f"{before.currents_ma[name]:.1f} mA", f"{current:.1f} mA") for name, current in after.currents_ma.items()
