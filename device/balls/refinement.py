@@ -168,7 +168,7 @@ def _follow(step: Callable[[Float64Array], Float64Array], start: Float64Array, r
 
 
 def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) -> Float64Array:
-    """Return the shift (column, row), px, that cancels the second harmonic over all rings.
+    """Return the shift (column, row), reduced px, that cancels the second harmonic over all rings.
 
     Moving the origin adds (f' - f / distance) / 2 to that harmonic.
     """

@@ -244,8 +244,8 @@ class BallBias:
 def shading(lights_mm: Sequence[PositionMm], height_um: float) -> float:
     """Return the factor by which skin at a height shows more of its slopes than untouched skin.
 
-    It is the inverse cube of the distance from a light to the field's middle, mean of the lights. At most half a
-    light's height counts.
+    It is the inverse cube of the ratio of the distances of both from a light, in the middle of the field, mean of the
+    lights. At most half a light's height counts.
     """
     found = []
     for x, y, z in lights_mm:
