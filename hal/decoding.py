@@ -34,6 +34,8 @@ _HINTS: Final[tuple[tuple[str, str], ...]] = (
     (r"^\s*[\w-]+\s*:", 'write = between a key and its value, such as name = "bench"'),
     (r"=\s*[-+]?[\d.]+\s*[A-Za-zµ°%]", "write numbers without a unit"),
     (r"=\s*[−–—]\s*[\d.]", "write a minus as -"),
+    (r"\{[^}]*$", "write all between { and } on one line"),
+    (r"=\s*[^\x00-\x7f]", "write digits from 0 to 9 without signs of another script"),
     (r"=\s*[-+]?[\d.]+\s*(;|,|//)", "end the line after the value, or begin remarks with #"),
     (r"=\s*(True|False|TRUE|FALSE|yes|no|on|off)\b", "write true or false"),
     (r"=\s*[-+]?(\.\d|\d+\.(\D|$)|0\d)", "write digits on both sides of the point, and no 0 in front of others"),
@@ -97,6 +99,8 @@ def _toml_advice(text: str, error: str) -> str:
         number = text.rstrip().count("\n") + 1
     else:
         return error
+    if "\n" not in text and "\r" in text.rstrip():
+        return "its lines end as on an old Macintosh: save it with line ends of Unix or Windows"
     lines = text.splitlines()
     line = lines[min(number, len(lines)) - 1].strip() if lines else ""
     shown = line if len(line) <= MAX_SHOWN else f"{line[:MAX_SHOWN]}…"
@@ -106,7 +110,7 @@ def _toml_advice(text: str, error: str) -> str:
 def _hint(line: str, error: str) -> str:
     if "Cannot declare" in error or "Cannot overwrite" in error:
         if re.match(r"\[\w+\]", line):
-            return f"this table stands twice: write [{line}] for each of several"
+            return f"this table stands twice: leave one out, or write [{line}] where several are accepted"
         return "this key stands twice: leave one out"
     for pattern, words in _HINTS:
         if found := re.search(pattern, line):

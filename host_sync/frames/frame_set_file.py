@@ -152,10 +152,14 @@ def _decode(path: Path) -> FileTable:
         key, problem = split_validation(error)
         if key == "encoding":
             problem = f"{problem}; accepted: 'linear', 'srgb'"
+        elif key and problem.partition(" is not a key")[0] in FileTable.__struct_fields__[1:]:
+            problem = f"{problem} of this table: write it above the first line that begins with ["
         elif problem.endswith(" is not a key"):
             problem = f"{problem}; accepted: {accepted_at(FileTable, key)}"
         elif key in ("press", "scan", "light") and problem.startswith("is a table"):
             problem = f"{problem}: write [[{key}]]"
+        elif key == "reference" and problem.startswith("is a "):
+            problem = f'{problem}: write [reference] once, and below it image = "flat.png"'
         elif key == "pixel_pitch_um" and problem.startswith("is too long"):
             problem = f"{problem}: write decimal points, such as [20.5, 21.0]"
         raise FrameSetError(": ".join([str(path), key, problem] if key else [str(path), problem])) from error

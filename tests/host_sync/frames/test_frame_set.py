@@ -358,6 +358,8 @@ def test_the_camera_stands_where_the_file_says(write: Write) -> None:
         ('"scan.png"', '"presses\\p0.png"', 'line 13, image = "presses\\p0.png": write / in paths'),
         ('"scan.png"', '"scans\\new.png"', "scan[0].image"),  # \n is an escape
         ("[[scan]]", "[scan]", "scan: is a table; accepted is a list: write [[scan]]"),
+        ("[reference]", "[[reference]]", "reference: is a list; accepted is a table or nothing: write [ref"),
+        ('"flat.png"', '"flat.png"\nfull_scale = 4095', "full_scale is not a key of this table: write it above"),
     ],
 )
 def test_a_slip_in_the_file_is_named_with_its_mend(write: Write, old: str, new: str, words: str) -> None:
