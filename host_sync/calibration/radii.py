@@ -173,18 +173,24 @@ LOOKED_AT_PX: Final = 320
 
 @dataclass(frozen=True, slots=True)
 class FittingRadius:
-    """The ball radius that shows in most of the presses that were looked at: pixels, and in how many of how many."""
+    """The ball radius that fits most of the presses that were looked at, pixels, and how many of how many.
+
+    least_px, most_px : radii that fit as many presses; contacts do not distinguish them
+    """
 
     radius_px: float
     presses: int
     looked_at: int
+    least_px: float
+    most_px: float
 
     def sentence(self, pitch_um: float, stated_px: float) -> str:
         """Return the sentence that compares it with the stated radius."""
+        least_mm, most_mm = self.least_px * pitch_um / 1e3, self.most_px * pitch_um / 1e3
         return (
-            f"balls of about {self.radius_px:.0f} px ({self.radius_px * pitch_um / 1e3:.2g} mm at {pitch_um:g} µm a "
-            f"pixel) show in {self.presses} of {self.looked_at} presses, and {stated_px:.0f} px "
-            f"({stated_px * pitch_um / 1e3:.3g} mm) is stated"
+            f"a radius from {self.least_px:.0f} to {self.most_px:.0f} px ({least_mm:.2g} to {most_mm:.2g} mm at "
+            f"{pitch_um:g} µm a pixel) fits the balls that show in {self.presses} of {self.looked_at} presses, and "
+            f"{stated_px:.3g} px ({stated_px * pitch_um / 1e3:.3g} mm) is stated"
         )
 
 
@@ -203,7 +209,9 @@ def fitting_radius(images: Sequence[NormalizedImage]) -> FittingRadius | None:
         counts[radius_px * factor] = sum(_shows(image, radius_px) for image in small)
     most = max(counts.values())
     best = [radius_px for radius_px, count in counts.items() if count == most]
-    return FittingRadius(float(np.exp(np.mean(np.log(best)))), most, len(small)) if most else None
+    if not most:
+        return None
+    return FittingRadius(float(np.exp(np.mean(np.log(best)))), most, len(small), min(best), max(best))
 
 
 def _shows(image: NormalizedImage, radius_px: float) -> bool:

@@ -212,12 +212,10 @@ def _show_balls(path: Path) -> None:
     with status_spinner() as tell:
         tell("finding balls")
         try:
-            described = load_frame_set(path)
-        except FrameSetError:
+            lines = write_contact_sheet(load_frame_set(path), path.with_name(f"{path.stem}-balls.png"))
+        except (FrameSetError, KeyboardInterrupt):
             path.unlink()  # It would be in the way of the next try.
             raise
-        try:
-            lines = write_contact_sheet(described, path.with_name(f"{path.stem}-balls.png"))
         except DeviceError as error:
             lines = (f"No contact sheet: {error}",)
     for line in lines:

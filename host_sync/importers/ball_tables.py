@@ -89,7 +89,9 @@ def _draft(
     if not presses and not missing:
         raise FrameSetError(f"{source}: its table lists no press: fill it in, or name the folder of the images")
     if not presses:
-        raise FrameSetError(f"{source}: none of the listed images is there: fetch the folder whole")
+        raise FrameSetError(
+            f"{source}: none of the listed images is there, such as {missing[0]}: fetch the folder whole"
+        )
     reference = said.reference or (rest if rest.is_file() else None)
     shown = presses[::SHOWN_EVERY]
     scans = [DraftScan(f"press-{SHOWN_EVERY * number:02d}", press.images) for number, press in enumerate(shown)]
@@ -132,7 +134,7 @@ COLUMNS: Final = ("img_names", "center_x", "center_y", "radius")
 CONTACT_OF_RING: Final = 0.85
 """The contact's radius over that of the ring that a person sees."""
 
-_SCALE: Final = re.compile(r"^\s*mm_to_pix(?:el)?:\s*([0-9.]+)", re.MULTILINE)
+_SCALE: Final = re.compile(r"^\s*mm_to_pix(?:el)?:\s*([^\s#]+)", re.MULTILINE)
 _AT_REST: Final = re.compile(r"0+|background|blank|flat|ref|bg", re.IGNORECASE)
 
 
@@ -213,6 +215,7 @@ def _stated_pitch_um(source: Path) -> float | None:
     """Return the pixel pitch that a configuration beside the images states."""
     for one in sorted(source.glob("config/*.yaml")):
         found = _SCALE.search(one.read_text(encoding="utf-8", errors="replace"))
-        if found and float(found[1]) > 0.0:
-            return 1e3 / float(found[1])
+        pixels = number_in(found[1].strip("\"'")) if found else math.nan
+        if 0.0 < pixels < math.inf:
+            return 1e3 / pixels
     return None

@@ -244,6 +244,15 @@ def test_drawn_circles_of_fots_are_kept_narrower(tmp_path: Path) -> None:
     assert (ball.column, ball.row, ball.contact_radius_px) == (110.0, 120.0, pytest.approx(25.5))
 
 
+@pytest.mark.parametrize(("scale", "pitch_um"), [("8,03", 124.533), ("2.0e1", 50.0), ("8.0.3", None), ("'20'", 50.0)])
+def test_a_scale_beside_a_table_of_circles_is_read_whole(scale: str, pitch_um: float | None, tmp_path: Path) -> None:
+    presses(tmp_path, "{}.png")
+    (tmp_path / "circles.csv").write_text("img_names,center_x,center_y,radius\n1.png,70,60,30\n")
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "set.yaml").write_text(f"mm_to_pixel: {scale}\n")
+    assert read_folder(tmp_path, "fots", Said()).pixel_pitch_um == (pitch_um and pytest.approx(pitch_um, rel=1e-5))
+
+
 @pytest.mark.parametrize(
     ("radius_mm", "shown", "hint"), [(8, 7, "is ball_radius_mm the diameter?"), (12, 0, "or press deeper")]
 )
@@ -267,6 +276,19 @@ def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) 
     assert best is not None
     assert best.presses == 7
     assert 0.6 * RADIUS_PX < best.radius_px < 1.7 * RADIUS_PX
+    assert best.least_px < RADIUS_PX < best.most_px
+
+
+def test_what_is_stopped_is_not_in_the_way_of_the_next_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "sample_{}.png")
+    with monkeypatch.context() as patch:
+        patch.setattr("host_sync.importers.contact_sheet.write_contact_sheet", stop)
+        assert run(tmp_path, *OPTIONS) == 130
+    assert not (tmp_path / "frameset.toml").exists()
 
 
 def test_at_a_terminal_what_is_missing_is_asked(
