@@ -19,7 +19,17 @@ from hal.decoding import decode_json
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES, natural_order
-from host_sync.importers.draft import SHOWN_EVERY, Circle, Draft, DraftPress, DraftScan, Said, inside, left_out
+from host_sync.importers.draft import (
+    SHOWN_EVERY,
+    Circle,
+    Draft,
+    DraftPress,
+    DraftScan,
+    Said,
+    check_circles,
+    inside,
+    left_out,
+)
 
 CATALOGUE: Final = "catalog.csv"
 FOLDER, DIAMETER = "experiment_reldir", "diameter(mm)"
@@ -161,11 +171,14 @@ def import_annotated(source: Path, said: Said) -> Draft:
     if table is None:
         raise FrameSetError(f"{source}: holds no table with the columns {', '.join(COLUMNS)}: name its folder")
     pitch_um = said.pixel_pitch_um or _stated_pitch_um(source)
-    largest = MAX_CONTACT * said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
+    ball_px = said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
+    largest = MAX_CONTACT * ball_px if ball_px else None
     circles: dict[str, list[Circle]] = {}
-    for row in read_table(table, FrameSetError, COLUMNS):
+    rows = read_table(table, FrameSetError, COLUMNS)
+    for row in rows:
         name = re.split(r"[/\\]", row[COLUMNS[0]])[-1].casefold()  # paths of the computer where they were drawn
         circles.setdefault(name, []).append(_contact(row, largest, table))
+    check_circles(table, [number_in(row["radius"]) for row in rows], ball_px)
     images = _images(source, set(circles))
     presses = [
         DraftPress((images[name],), said.ball_radius_mm, tuple(drawn))

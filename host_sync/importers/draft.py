@@ -21,6 +21,9 @@ LONGEST_NAME: Final = 90
 SHOWN_EVERY: Final = 5
 """Every so many presses are listed as scans too: a calibration without a scan shows nothing."""
 
+WIDEST_CIRCLE: Final = 1.25
+"""Skin around a ball returns to rest within this multiple of the ball's radius: nobody draws a wider circle."""
+
 Circle = tuple[float, float, float]
 """Centre (column, row) and radius of the trusted contact, pixels."""
 
@@ -219,6 +222,24 @@ def short_names(images: Sequence[Path]) -> dict[Path, str]:
         return {image: image.name for image in images}
     folder = os.path.commonpath([image.parent for image in images])
     return {image: Path(os.path.relpath(image, folder)).as_posix() for image in images}
+
+
+def check_circles(source: Path, drawn_px: Sequence[float], ball_px: float | None) -> None:
+    """Refuse circles around balls that are clearly wider than the balls.
+
+    ball_px : radius of the ball; None where it is not known
+
+    Raises
+    ------
+    FrameSetError
+        The middle one is; gives both radii.
+    """
+    middle = sorted(drawn_px)[len(drawn_px) // 2] if drawn_px else 0.0
+    if ball_px is not None and middle > WIDEST_CIRCLE * ball_px:
+        raise FrameSetError(
+            f"{source}: circles are drawn with a radius of {middle:.3g} px, and the ball has {ball_px:.3g} px: check "
+            "the ball's radius and the pixel pitch"
+        )
 
 
 def left_out(missing: Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from typing import Final
 
 from device.balls.detector import MAX_CONTACT
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, check_circles, inside
 
 SCAN_FILE: Final = "scan.yaml"
 MM_TO_UM: Final = 1e3
@@ -79,7 +79,9 @@ def import_gelsight(source: Path, said: Said) -> Draft:
 
 def _press(scan: _Scan, radius_mm: float | None, pitch_um: float | None) -> DraftPress:
     radius = radius_mm or scan.radius_mm
-    most = MAX_CONTACT * radius * MM_TO_UM / pitch_um if radius and pitch_um else None
+    ball_px = radius * MM_TO_UM / pitch_um if radius and pitch_um else None
+    check_circles(scan.folder, [r for *_, r in scan.circles], ball_px)
+    most = MAX_CONTACT * ball_px if ball_px else None
     circles = tuple((x, y, min(r, most) if most else r) for x, y, r in scan.circles)
     return DraftPress(scan.images, radius, circles, scan.spacing_mm)
 

@@ -77,6 +77,7 @@ def test_scans_of_six_lights_become_a_set(tmp_path: Path) -> None:
     assert press.balls is not None
     assert (press.balls[0].column, press.balls[0].row, press.balls[0].contact_radius_px) == (30.5, 31.5, 16.0)
     assert "part.tmd" in (tmp_path / "set.toml").read_text()
+    assert run("gelsight", tmp_path / "SDK", "--out", tmp_path / "coarse.toml", "--pixel-pitch-um", 20) == 2
 
 
 def test_a_scan_without_scale_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -218,6 +218,14 @@ def test_circles_of_a_spreadsheet_on_windows_are_read(tmp_path: Path, table: byt
     assert press.circles == ((30.5, 20.25, 8.5),)
 
 
+def test_circles_wider_than_their_ball_are_refused(tmp_path: Path) -> None:
+    put(tmp_path / "0001.png")
+    (tmp_path / "circles.csv").write_text("img_names,center_x,center_y,radius\n0001.png,30,20,13\n")
+    assert len(read_folder(tmp_path, "fots", Said(20.0, 0.25, "srgb")).presses) == 1
+    with pytest.raises(FrameSetError, match=r"radius of 13 px, and the ball has 10 px: check the ball's radius and"):
+        read_folder(tmp_path, "fots", Said(20.0, 0.2, "srgb"))
+
+
 @pytest.mark.parametrize("circle", ["a,20,10", "30,nan,10", "30,20,-10"])
 def test_a_circle_that_is_none_is_named(tmp_path: Path, circle: str) -> None:
     put(tmp_path / "0001.png")
