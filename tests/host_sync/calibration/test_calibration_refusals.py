@@ -244,7 +244,7 @@ def test_a_press_that_is_turned_against_the_reference_is_named(
 
 def test_balls_of_another_radius_than_the_stated_one_are_named(usual: SimulatedScene) -> None:
     stated = [replace(press, radius_px=0.3 * press.radius_px) for press in presses(usual.balls)]
-    words = r"a radius from \d+ to \d+ px .* fits the balls .* in 6 of 6 presses, and .* is stated: check ball_radius_mm"
+    words = r"a radius from \d+ to \d+ px .* in 6 of 6 presses, and .* is stated: check ball_radius_mm"
     with pytest.raises(CalibrationError, match=words) as refused:
         calibrate(stated, usual.rest, PITCH_UM)
     assert str(refused.value).count("shows no ball") == 1
