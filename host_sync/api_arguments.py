@@ -26,7 +26,7 @@ from host_sync.errors import (
 from host_sync.frames.equal_channels import check_channels
 from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
-from host_sync.frames.full_scale import count_values, full_scale_of
+from host_sync.frames.full_scale import check_full_scale, count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import frame_of_values, read_frame
 from host_sync.frames.orientation import check_one_orientation, square_pitch
@@ -192,14 +192,16 @@ def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, 
     files = [Path(path) for image in images if not isinstance(image, np.ndarray) for path in _paths(image)]
     known = {path: read_info(path) for path in files}
     check_one_orientation(known)
-    if full_scale is not None:
-        return replace(form, full_scale=round(positive("full_scale", full_scale, FrameSetError)))
+    given = None if full_scale is None else round(positive("full_scale", full_scale, FrameSetError))
     deep: list[Any] = [array for array in arrays if array.dtype == np.uint16]
     deep += [path for path in files if known[path].bits == 16 and not known[path].is_raw]
     stated = max((info.full_scale or 0 for info in known.values()), default=0)
     if not deep:
-        return form
+        return replace(form, full_scale=given)
     counts = count_values(read_image(one) if isinstance(one, Path) else one for one in deep)
+    if given is not None:
+        check_full_scale(counts, given)
+        return replace(form, full_scale=given)
     return replace(form, full_scale=full_scale_of(counts, stated or None, encoding))
 
 

@@ -23,7 +23,7 @@ from host_sync.frames.frame_set_file import (
     read_frame_set_file,
     set_file,
 )
-from host_sync.frames.full_scale import count_values, full_scale_of
+from host_sync.frames.full_scale import check_full_scale, count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.image_info import ImageInfo
 from host_sync.frames.orientation import check_one_orientation, square_pitch, square_place, square_shape
@@ -174,10 +174,7 @@ def load_frame_set(path: Path, *, calibrates: bool = True) -> FrameSet:
     keyed += [(f"press[{i}].image", spec) for i, spec in enumerate(press_frames)]
     keyed += [(f"scan[{i}].image", scan.frame) for i, scan in enumerate(scans)]
     stored, channels, known = _common_form(keyed, path)
-    if file.full_scale is None:
-        full_scale, is_stated = _full_scale([spec for _, spec in keyed], len(scans), known, path)
-    else:
-        full_scale, is_stated = file.full_scale, True
+    full_scale, is_stated = _full_scale([spec for _, spec in keyed], len(scans), known, path, file.full_scale)
     if press_frames:
         _check_channels(press_frames[0], f"{path}: press[0].image")
     lights = _light_names(file, channels, path)
@@ -227,9 +224,9 @@ def _pitch_tolerance(file: FileTable, pitch_um: float, path: Path) -> float | No
 
 
 def _full_scale(
-    frames: Sequence[FrameSpec], scans: int, known: dict[Path, ImageInfo], path: Path
+    frames: Sequence[FrameSpec], scans: int, known: dict[Path, ImageInfo], path: Path, given: int | None
 ) -> tuple[int | None, bool]:
-    """Return the count at which frames of 16 bit are saturated, and whether headers state it.
+    """Return the count at which frames of 16 bit are saturated, and whether it is given or headers state it.
 
     scans : number of the last frames, which are scans
     """
@@ -237,10 +234,13 @@ def _full_scale(
     counted = [*frames[:first_scan], *frames[first_scan :: max(1, scans // COUNTED_SCANS)]]
     images = [image for spec in counted for image in spec.images if known[image].bits == 16 and not known[image].is_raw]
     if not images:
-        return None, False
+        return given, given is not None
     stated = max((known[image].full_scale or 0 for image in images), default=0) or None
     histogram = count_values(read_image(image) for image in dict.fromkeys(images))
     try:
+        if given is not None:
+            check_full_scale(histogram, given)
+            return given, True
         found = full_scale_of(histogram, stated, frames[0].encoding)
     except FrameSetError as error:
         raise FrameSetError(f"{path}: {error}") from error

@@ -35,6 +35,11 @@ SPIKE_COUNTS: Final = 8
 """So many other counts must be there: an image of few values shows no spike."""
 
 
+FAR: Final = 1.5
+FEW: Final = 0.01
+"""A stated full scale is wrong where light is clipped, or more than a few counts lie, so many times away from it."""
+
+
 def count_values(images: Iterable[Pixels | RawFrame]) -> NDArray[np.int64]:
     """Return how many samples of all images of 16 bit hold each count: int64 array of 65536 entries."""
     total = np.zeros(COUNTS, np.int64)
@@ -74,6 +79,25 @@ def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: En
             f"or {COUNTS - 1} for dim frames; sRGB values depend on it"
         )
     return full_scale
+
+
+def check_full_scale(histogram: NDArray[np.int64], stated: int) -> None:
+    """Refuse a full scale that counts contradict: they end at a clear spike far below, or lie far above.
+
+    histogram : as of `full_scale_of`
+
+    Raises
+    ------
+    FrameSetError
+        Says at which count.
+    """
+    held = np.flatnonzero(histogram)
+    level = clip_level(held, histogram[held])
+    if level is not None and level < stated / FAR:
+        raise FrameSetError(f"full_scale: {stated} is stated, and light is clipped at {level:.0f}: correct it")
+    above = int(histogram[int(FAR * stated) :].sum())
+    if above > CLIPPED_PIXELS and above > FEW * histogram.sum():
+        raise FrameSetError(f"full_scale: {stated} is stated, and counts reach {held[-1]}: correct it")
 
 
 def clip_level(values: NDArray[Any], counts: NDArray[np.int64]) -> float | None:

@@ -191,7 +191,7 @@ def _smoothed_remainder(maps: ReflectanceMaps, model: Float64Array, margin: int)
     """Return the observed minus modelled reflectance, averaged and shrunk, on the extended grid.
 
     The remainder has a variance of its own, and an observed cell adds the scatter over its count. Their ratio is the
-    count at which the remainder is shrunk to half.
+    count at which the remainder is shrunk to half; it is 1 where small balls show no slope twice, and so no scatter.
     """
     from scipy.ndimage import gaussian_filter  # here, because only calibrating needs it
 
@@ -202,7 +202,7 @@ def _smoothed_remainder(maps: ReflectanceMaps, model: Float64Array, margin: int)
     scatter = float(np.mean(maps.scatter**2))
     total = count.sum()
     own = float((count[..., None] * remainder**2).sum() / (3.0 * total)) - scatter * float(seen.sum()) / total
-    half_count = scatter / max(own, 1e-3 * scatter)
+    half_count = scatter / max(own, 1e-3 * scatter) if scatter > 0.0 else 1.0
     weight = cells * gaussian_filter(count, SMOOTHING_CELLS, mode="constant")
     spread = (SMOOTHING_CELLS, SMOOTHING_CELLS, 0.0)
     sums = cells * gaussian_filter(remainder * count[..., None], spread, mode="constant")

@@ -115,6 +115,23 @@ def test_srgb_of_12_bit_is_asked_for_unless_it_is_certain(tmp_path: Path) -> Non
     assert load_frame_set(write_set(tmp_path, 12, 1.3, shifted=False, encoding="srgb")).full_scale == 4095
 
 
+@pytest.mark.parametrize(
+    ("brightest", "stated", "words"),
+    [(1.3, 65535, "65535 is stated, and light is clipped at 4095"), (0.8, 1023, "1023 is stated, and counts reach 3")],
+)
+def test_a_stated_full_scale_that_counts_contradict_is_refused(
+    tmp_path: Path, brightest: float, stated: int, words: str
+) -> None:
+    from host_sync.api_arguments import image_form
+
+    path = write_set(tmp_path, 12, brightest, shifted=False)
+    path.write_text(path.read_text().replace("[reference]", f"full_scale = {stated}\n[reference]"))
+    with pytest.raises(FrameSetError, match=words):
+        load_frame_set(path)
+    with pytest.raises(FrameSetError, match=words):
+        image_form([counts(light(brightest), 12, shifted=False)], "linear", stated, 1.0)
+
+
 def test_scans_take_the_full_scale_of_their_calibration(tmp_path: Path) -> None:
     dim = load_frame_set(write_set(tmp_path, 12, 0.2, shifted=False))
     assert dim.full_scale == 1023

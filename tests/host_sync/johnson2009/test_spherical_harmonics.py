@@ -53,6 +53,13 @@ def test_a_lambertian_skin_is_reproduced_by_either_order(order):
     np.testing.assert_allclose(fit.reflectance(*steep), lambertian(*steep), atol=1e-3)
 
 
+def test_slopes_that_are_seen_once_leave_no_gap():
+    maps = observed_maps(lambertian)
+    once = ReflectanceMaps(maps.reach, maps.mean, np.full_like(maps.variance, np.nan), np.minimum(maps.count, 1))
+    fit = fit_harmonics(once)
+    assert np.isfinite(fit.reflectance(np.array([0.1, 1.3]), np.array([0.2, -1.3]))).all()
+
+
 def lobed(p, q):
     return lambertian(p, q) + np.exp(-((p - 0.4) ** 2 + q**2) / 0.3)[..., None]
 
