@@ -99,7 +99,8 @@ def _smoothed(maps: ReflectanceMaps, sigma_cells: float = 0.8) -> Float64Array:
     seen = maps.observed
     count = gaussian_filter(maps.count.astype(np.float64), sigma_cells)
     sums = np.where(seen[..., None], maps.mean * maps.count[..., None], 0.0)
-    near = gaussian_filter(seen.astype(np.float64), sigma_cells) > 0.25
+    around = gaussian_filter(seen.astype(np.float64), sigma_cells)
+    near = around > min(0.25, 0.5 * around.max())
     mean = gaussian_filter(sums, (sigma_cells, sigma_cells, 0.0)) / np.maximum(count, 1e-9)[..., None]
     return np.where((near & (count > 1e-9))[..., None], mean, np.nan)
 
