@@ -34,6 +34,7 @@ class CalibrationFrames:
     states_diameters : balls were given by their diameters, so that no radius can be one
     pitch_tolerance : fraction by which the pixel pitch may be off; None where that is not known
     marks : printed on the skin, and taken out of the frames; None where there are none
+    left_out : sentences about presses that cannot be used and are not among these
     """
 
     presses: tuple[PressFrame, ...]
@@ -48,6 +49,7 @@ class CalibrationFrames:
     states_diameters: bool = False
     pitch_tolerance: float | None = None
     marks: MarkPattern | None = None
+    left_out: tuple[str, ...] = ()
 
     def without(self, calibration: Calibration, press: int, held: Ball) -> CalibrationFrames:
         """Return the frames without one ball.
@@ -81,8 +83,9 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         tell=tell,
     )
     assessment = calibration.assessment
-    if frames.marks is not None:
-        assessment = replace(assessment, notes=(*assessment.notes, frames.marks.note))
+    added = frames.left_out if frames.marks is None else (*frames.left_out, frames.marks.note)
+    if added:
+        assessment = replace(assessment, notes=(*assessment.notes, *added))
     if frames.states_pixel_shape:
         left = tuple(check for check in assessment.checks if check.name != PIXEL_SHAPE)
         shape, notes = assessment.pixel_shape, assessment.notes

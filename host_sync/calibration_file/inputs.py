@@ -13,7 +13,8 @@ from typing import Any, Final
 import msgspec
 
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle, CalibrationRecord
-from device.imaging.flat_field import demosaic
+from device.errors import FrameError
+from device.imaging.flat_field import check_exposed, demosaic
 from device.io.atomic import replace_file
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.errors import BoardProfileError
@@ -32,12 +33,16 @@ NO_REFERENCE_FRAMES: Final = 24
 def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
     """Return the frames that a frame set's calibration is made from.
 
+    A black or saturated press is left out, unless all are.
+
     Raises
     ------
     FrameSetError
         A frame is unreadable.
     """
-    presses = tuple(press_frame(press, frame_set) for press in frame_set.presses)
+    every = tuple(press_frame(press, frame_set) for press in frame_set.presses)
+    faults = [_fault(press) for press in every]
+    presses = tuple(press for press, fault in zip(every, faults, strict=True) if not fault) or every
     reference = read_frame(frame_set.reference) if frame_set.reference else None
     others = tuple(read_frame(frame) for frame in stand_ins(frame_set))
     return CalibrationFrames(
@@ -52,7 +57,17 @@ def frames_of_set(frame_set: FrameSet) -> CalibrationFrames:
         states_diameters=frame_set.states_diameters,
         pitch_tolerance=frame_set.pitch_tolerance,
         marks=mark_pattern(frame_set.reference) if frame_set.reference else None,
+        left_out=tuple(f"{fault}; it is not used" for fault in faults if fault) if presses is not every else (),
     )
+
+
+def _fault(press: PressFrame) -> str:
+    """Return why a press cannot be used whatever it shows; empty if it can."""
+    try:
+        check_exposed(press.frame, press.label)
+    except FrameError as error:
+        return str(error)
+    return ""
 
 
 def frames_of_bundle(bundle: CalibrationBundle) -> CalibrationFrames:

@@ -182,6 +182,26 @@ def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(
     assert said.err.startswith("retrosync: black: ")
 
 
+def test_a_black_press_is_left_out_by_name(frame_set: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(frame_set.parent, tmp_path / "set")
+    path = folder / "frameset.toml"
+    described = load_frame_set(path)
+    assert frames_of_set(described).left_out == ()
+    black = np.zeros_like(cv2.imread(str(described.presses[1].frame.images[0]), cv2.IMREAD_UNCHANGED))
+    for number, press in enumerate(described.presses):
+        if number in (1, 2):
+            assert cv2.imwrite(str(press.frame.images[0]), black)
+    frames = frames_of_set(load_frame_set(path))
+    kept = [press.name for number, press in enumerate(described.presses) if number not in (1, 2)]
+    assert [press.name for press in frames.presses] == kept
+    assert [sentence.split(" (")[0] for sentence in frames.left_out] == ["press-01", "press-02"]
+    assert all("is black" in sentence and sentence.endswith("it is not used") for sentence in frames.left_out)
+    for press in described.presses:
+        assert cv2.imwrite(str(press.frame.images[0]), black)
+    frames = frames_of_set(load_frame_set(path))
+    assert (len(frames.presses), frames.left_out) == (len(described.presses), ())
+
+
 def test_a_scan_without_presses_is_reconstructed_with_a_file(file: Path, frame_set: Path, tmp_path: Path) -> None:
     shutil.copy(frame_set.parent / "ball-6.png", tmp_path / "own.png")
     own = tmp_path / "own.toml"
