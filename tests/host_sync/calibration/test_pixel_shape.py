@@ -8,15 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
+from device.balls.sphere import Ball
 from device.calibration.acceptance import Check
 from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.inverse_map.near_light import IlluminationMap
 from host_sync.calibration.assessment import (
+    MAX_TOO_WIDE,
     PIXEL_SHAPE,
     Assessment,
     PixelShape,
     checks,
     diameter_note,
+    impossible_share,
     measure_pixel_shape,
     widest_contact,
 )
@@ -143,6 +146,25 @@ def test_a_diameter_given_as_the_radius_is_asked_for(stated: float, asks: bool) 
     located = [locate(press, flat_field) for press in presses]
     assert sum(len(press.balls) for press in located) >= 3
     assert any("is ball_radius_mm the diameter?" in note for note in diameter_note(widest_contact(located))) == asks
+
+
+@pytest.mark.parametrize(("factor", "is_possible"), [(1.0, True), (0.5, False)])
+def test_labels_of_a_ball_that_cannot_press_as_wide_do_not_pass(factor: float, is_possible: bool) -> None:
+    """A pixel pitch twice too large halves the ball in pixels; whoever labels contacts draws them narrow enough."""
+    flat_field = make_flat_field(frame(np.zeros(SHAPE), 1.0, 99))
+    radius_px = factor * RADIUS_PX
+    presses = [
+        PressFrame(
+            f"press-{seed}",
+            frame(pressed(*place), 1.0, seed),
+            radius_px,
+            (Ball(float(place[0]), float(place[1]), 0.6 * radius_px, radius_px),),
+            labelled_by_hand=True,
+        )
+        for seed, place in enumerate(PLACES)
+    ]
+    share = impossible_share([locate(press, flat_field) for press in presses])
+    assert (share <= MAX_TOO_WIDE) is is_possible
 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
