@@ -102,7 +102,7 @@ def of_profile(profile: BoardProfile, facts: dict[str, Any]) -> Wiring:
     if profile.name in facts["panel"]["boards"]:
         parts.append(("panel", ("5 V of a DSI panel, its ribbon on a Pi 5 to CAM/DISP 0; may stay open",)))
     if profile.name in facts["supply"]["boards"]:
-        parts.append(("supply", ("feeds the board (bill of materials); stays open when its USB port does",)))
+        parts.append(("supply", ("feeds the board (bill of materials); leave open when the USB port does",)))
     parts.append(("power-fail", ("open drain of the supply, else by a diode (bill of materials); may stay open",)))
     parts.append(("power-off", ("OFF of a latching switch (bill of materials); may stay open",)))
     title = (
