@@ -110,8 +110,8 @@ def _toml_advice(text: str, error: str) -> str:
 def _hint(line: str, error: str) -> str:
     if "Cannot declare" in error or "Cannot overwrite" in error:
         if re.match(r"\[\w+\]", line):
-            return f"this table stands twice: leave one out, or write [{line}] where several are accepted"
-        return "this key stands twice: leave one out"
+            return f"this table appears twice: leave one out, or write [{line}] where several are accepted"
+        return "this key appears twice: leave one out"
     for pattern, words in _HINTS:
         if found := re.search(pattern, line):
             return found.expand(words)

@@ -1,4 +1,4 @@
-"""`retroscan demo`: the screens over a simulated handheld whose faults can be switched, to learn the instrument by."""
+"""`retroscan demo`: the screens on a simulated handheld whose faults can be switched, to learn the instrument by."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FOLDER: Final = "retroscan-demo"
 
 
 def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
-    """Show the screens over a simulated handheld; key f switches its faults.
+    """Show the screens on a simulated handheld; key f switches faults on and off.
 
     Returns the exit code.
 
@@ -33,7 +33,7 @@ def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
     Parameters
     ----------
     store
-        Folder of its scans and calibrations; by default beside that of the real handheld, one a board.
+        Folder of its scans and calibrations; by default next to that of the real handheld, one for each board.
     """
     profile = load_board_profile(simulated.board)
     if profile.driver != "twin":

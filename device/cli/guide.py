@@ -103,9 +103,9 @@ def cover(
     Parameters
     ----------
     width_mm
-        Width of the area, in the directions of the first press's live view.
+        Width of the area, as seen in the first press's live view.
     height_mm
-        Height of the area, 300 mm at most as its width.
+        Height of the area, like its width at most 300 mm.
     presses
         End after that many presses.
     pressed
@@ -150,7 +150,7 @@ BAR: Final = 40
 
 
 def focus(*, frames: Count | None = None, options: Given) -> int:
-    """Show how sharp the lens is set, until Ctrl-C.
+    """Show how sharp the lens is focused, until Ctrl-C.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ def calibrate_guided(
     balance: Annotated[bool, Parameter(show=False)] = False,
     options: Given,
 ) -> int:
-    """Calibrate, guided: a reference, then ball presses all over the field.
+    """Calibrate with guidance: a reference, then ball presses all over the field.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def scan_once(
     pressed
         What the twin's operator presses (ignored on a real board).
     capture
-        One frame; the average of several; that, and a frame under no light and under each light alone; or a movie:
-        frames of half the size for some seconds, of which the best is the scan.
+        single: one frame; average: the mean of several; lights: that, a frame under no light, and one under each light
+        alone; movie: frames of half the size for some seconds, the best of which is the scan.
     json
         Print one JSON document instead of sentences.
     """
@@ -162,7 +162,7 @@ def run(
     pair_when_new: bool = False,
     options: Given,
 ) -> int:
-    """Scan at every press of the button, without a screen; held for six seconds it powers off.
+    """Scan at every press of the button, without a screen; holding it for six seconds powers off.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """`retroscan`: the handheld's command line.
 
-Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.
+Exit codes: 0 done, 2 bad input or a refused state, 3 hardware fault, 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ COMMANDS: Final = (
     Command(
         "demo",
         "device.cli.demo:demo",
-        "Show the screens over a simulated handheld; key f switches its faults.",
+        "Show the screens on a simulated handheld; key f switches faults on and off.",
         ("retroscan demo",),
     ),
     Command(
         "calibrate",
         "device.cli.instrument_commands:calibrate_guided",
-        "Calibrate, guided: a reference, then ball presses all over the field.",
+        "Calibrate with guidance: a reference, then ball presses all over the field.",
         ("retroscan calibrate", "retroscan calibrate --auto-exposure --ball-radius-mm 2.5"),
     ),
     Command(
@@ -77,13 +77,13 @@ COMMANDS: Final = (
     Command(
         "run",
         "device.cli.instrument_commands:run",
-        "Scan at every press of the button, without a screen; held for six seconds it powers off.",
+        "Scan at every press of the button, without a screen; holding it for six seconds powers off.",
         ("retroscan run", "retroscan run --operator Ada --ball-radius-mm 3"),
     ),
     Command(
         "focus",
         "device.cli.guide:focus",
-        "Show how sharp the lens is set, until Ctrl-C.",
+        "Show how sharp the lens is focused, until Ctrl-C.",
         ("retroscan focus", "retroscan focus --frames 100"),
     ),
     Command(
@@ -236,8 +236,8 @@ BOARD_HELP: Final = (
 
 app = make_app(
     "retroscan",
-    "Scan surfaces with a gel at the push of a button. Without a command: the screens.",
-    "Exit codes: 0 done, 2 bad input or a refused state, 3 hardware, 130 stopped by Ctrl-C.",
+    "Scan surfaces with a gel at the push of a button. Without a command it opens the screens.",
+    "Exit codes: 0 done, 2 bad input or a refused state, 3 hardware fault, 130 stopped by Ctrl-C.",
 )
 app.usage = "retroscan [OPTIONS] [COMMAND]"
 app.meta.suppress_keyboard_interrupt = False

@@ -283,7 +283,7 @@ class PixelShape:
         square, found = f"{pitch_um:.4g}", f"{pitch_um * self.ratio:.4g}"
         return (
             f"pixels are not of the stated shape: by the skin around {self.balls} balls the pitch down a column is "
-            f"{self.ratio:.3f} ± {self.sigma:.3f} times as large beside that along a row (a stream that was resized or "
+            f"{self.ratio:.3f} ± {self.sigma:.3f} times that along a row (a stream that was resized or "
             f"cropped), and heights are wrong by as much: state two pitches where one was, such as "
             f"pixel_pitch_um = [{square}, {found}], or [{square}, {square}] if you know the pixels to be square"
         )

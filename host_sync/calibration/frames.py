@@ -132,7 +132,7 @@ def calibrate_lights(
         raise CalibrationError("frames show different numbers of lights: name the same lights in every frame")
     (count,) = shown or {CHANNELS}
     if count < CHANNELS:
-        raise CalibrationError(f"frames show too few lights ({count}) to tell two slopes: give frames of three or more")
+        raise CalibrationError(f"frames show too few lights ({count}) for two slopes: give frames of three or more")
     if count == CHANNELS:
         return calibrate(
             presses,

@@ -191,7 +191,7 @@ def _check_lights(calibration: Calibration) -> None:
     lights, beside = calibration.lights, calibration.beside
     if lights is None:
         if beside:
-            raise Unsound("calibrations beside one of three lights")
+            raise Unsound("calibrations in addition to one of three lights")
         return
     count = lights.flat_field.shape[2]
     known = {number for group in lights.groups for number in group} == set(range(count))
@@ -235,7 +235,7 @@ def _check_viewpoint(viewpoint: Viewpoint | None) -> None:
         return
     places = viewpoint.column, viewpoint.row, viewpoint.height_px
     if not (np.isfinite(places).all() and viewpoint.height_px >= MIN_HEIGHT_PX):
-        raise Unsound("a camera that does not stand over the skin")
+        raise Unsound("a camera that is not above the skin")
 
 
 def _check_null_colour(null_colour: NullColour | None) -> None:
@@ -251,7 +251,7 @@ def _check_errors(error: SlopeError, noise: SlopeNoise | None) -> None:
         raise Unsound("gains of slopes that are not those of a map")
     places = np.array(error.ball_places)
     if places.size and (len(places) != len(error.ball_gains) or not np.abs(places).max() < LARGEST_PLACE):
-        raise Unsound("gains of balls that lie at no place of the field")
+        raise Unsound("gains of balls outside of the field")
     alike = len({len(part) for part in parts}) == 1 and len(error.tilt_deg) > 0
     if noise is not None:
         if not all(0.0 <= blur_px <= LARGEST_BLUR_PX for blur_px in (noise.blur_px, noise.raw_blur_px)):

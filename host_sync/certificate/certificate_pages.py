@@ -53,7 +53,7 @@ def pages_of(certificate: Certificate) -> Report:
             "± are expanded uncertainties with coverage factor k = 2; a measured value is the mean of its scans.",
             "± of a measured value: the instrument's own uncertainty, which scans share, and the scans' scatter.",
             "E_n = error / √(U² measured + U² certified); specimen and instrument agree where |E_n| ≤ 1.",
-            "Characteristics hold for this gel, these lights, this exposure and the specimens named beside them.",
+            "Characteristics hold for this gel, these lights, this exposure and the specimens named with them.",
             "Skin bridges what is narrow: a groove or pit that it cannot reach into is measured as it lies in it.",
         ),
     )

@@ -37,14 +37,14 @@ def calibrate_command(
 ) -> int:
     """Calibrate once and keep the calibration in a file; with --check, judge the instrument by certified specimens.
 
-    A picture beside the file shows every press with its ball, used or not and why, the error by place, and the
+    A picture next to the file shows every press with its ball, used or not and why, the error by place, and the
     reference read as a scan. Ends with 1 when the calibration did not pass, or the instrument does not agree with a
-    specimen or cannot be judged by it. The file is written all the same.
+    specimen or cannot be judged by it. The file is written in any case.
 
     Parameters
     ----------
     source
-        The frame set, its file or its folder, whose presses calibrate; or a calibration's folder; with --library, a
+        A frame set with calibration presses, its file or its folder; or a calibration's folder; with --library, a
         calibration's id.
     out
         The calibration's file. With --check, the folder for certificate.pdf, certificate.json, the calibration's
@@ -52,7 +52,7 @@ def calibrate_command(
     library
         Folder of pulled calibrations.
     paper
-        Also fit the model of the paper's method, which `--method paper` needs.
+        Also fit the model of Johnson & Adelson's paper, which `--method paper` needs.
     check
         TOML files of certified specimens: step, groove, sphere, roughness, period or flat.
     """

@@ -35,8 +35,8 @@ def compare_command(
 ) -> int:
     """Compare two presses of one spot, or a result with another program's map of the same pixels.
 
-    Of two presses it finds where the object lies in the second one, subtracts, and lists significant changes with the
-    height that is too small to see. A surface file, or two maps with --same-pixels, is subtracted pixel by pixel.
+    For two presses it finds the object's place in the second one, subtracts, and lists significant changes or the
+    detection limit. A surface file, or two maps with --same-pixels, is subtracted pixel by pixel.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ def compare_command(
     second
         The later one; or a surface file of the same pixels, such as GelSight's TMD.
     out
-        Folder for the difference, its σ, a picture and same_spot.json; without it the summary is printed only.
+        Folder for the difference, its σ, a picture and same_spot.json; without it only the summary is printed.
     library
         Folder of the library; ~/Retrograph by default.
     near
-        Where the object lies in the second press: mm down, mm right, degrees clockwise; for when it is not found.
+        Place of the object in the second press, if the search fails: mm down, mm right, degrees clockwise.
     same_pixels
         Subtract pixel by pixel: both maps are of one press.
     json
@@ -57,7 +57,7 @@ def compare_command(
     """
     if same_pixels or Path(first).is_file() or Path(second).is_file():
         if out is not None or near is not None:
-            raise ViewError("--out and --near are for two presses: maps of the same pixels lie on one another")
+            raise ViewError("--out and --near are for two presses: maps of the same pixels need no search")
         return _compare_pixels(first, second, library, json=json)
     folders = [_result(name, library) for name in (first, second)]
     if folders[0].resolve() == folders[1].resolve():

@@ -35,7 +35,7 @@ def demo_command(
     board: str = "twin",
     open_page: Annotated[bool, Parameter(name="--browser", negative="--no-browser")] = True,
 ) -> int:
-    """Play the whole way with a simulated handheld: calibrate, scan, pull, reconstruct, look.
+    """Run the whole workflow with a simulated handheld: calibrate, scan, pull, reconstruct, view.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def _checked_port(port: int) -> int:
 
 
 def status_command(*, network: bool = False, seconds: float = LISTEN_S, json: bool = False) -> int:
-    """List the paired devices and how the last pull from each went; with --network, who announces itself.
+    """List the paired devices and how the last pull from each went; with --network, the devices in reach.
 
     Parameters
     ----------

@@ -44,11 +44,11 @@ def export_command(
     Parameters
     ----------
     sources
-        Folders that reconstruct wrote, or GelSight TMD files; or scans by id, its beginning or end, by the name that
-        `retrosync list SCAN --set-name` gave, or by that of the part, for the newest result of each.
+        Folders that reconstruct wrote, or GelSight TMD files; or, for the newest result of each, scans by id (or its
+        beginning or end), by part, or by the name that `retrosync list SCAN --set-name` gave.
     to
-        gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). Of a scan, dng and tiff
-        are its raw frame, the counts as the sensor gave them.
+        gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). For a scan, dng and
+        tiff hold its raw frame, the sensor's own counts.
     out
         Folder for the files.
     library
@@ -62,7 +62,7 @@ def export_command(
         middle row when not given.
     sigma
         Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file:
-        gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv hold it beside the heights in any case.
+        gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv always hold it with the heights.
     semicolon
         Write csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     overwrite

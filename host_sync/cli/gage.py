@@ -36,7 +36,7 @@ def gage_command(
     Parameters
     ----------
     scans
-        Scans of the library; by default all that were not taken again. Their annotations name part and operator.
+        Scans of the library; by default all that no retake replaced. Their annotations name part and operator.
     table
         CSV file of measured values, with the columns part, operator, value.
     plan

@@ -41,31 +41,31 @@ def import_command(
 ) -> int:
     """Describe another program's folder as a frame set, and show the balls that are found on a contact sheet.
 
-    The folder is recognized by what it holds; its files stay as they are. What they do not say is asked for: at a
-    terminal by a question, elsewhere by the name of the option.
+    The folder is recognized by what it holds; its files stay as they are. At a terminal the command asks for
+    what they do not state; elsewhere it names the missing option.
 
     Parameters
     ----------
     source
-        The folder; the kind may stand before it.
+        The folder, optionally with its kind before it.
     kind
         gelsight: scan.yaml folders of the SDK and Mobile; gs_sdk: its calibration folder; py3dcal: its dataset; taxim:
-        dataPack.npz beside its images; fots: a table of circles, also of digit-depth; digit and images: a folder of RGB
-        images. By default what the folder holds decides.
+        dataPack.npz with its images; fots: a table of circles, also of digit-depth; digit and images: a folder of RGB
+        images. By default the folder's contents decide.
     out
         The frame set's file, or a folder for it; by default frameset.toml in the source's folder. The contact sheet
-        lies beside it.
+        goes next to it.
     pixel_pitch_um
-        Distance of neighbouring pixels on the skin; goes before what the files say.
+        Distance of neighbouring pixels on the skin; overrides that of the files.
     pixel_pitch_down_um
-        Distance of neighbouring pixels down a column, where pixels are not square; the other is then along a row.
+        Distance of neighbouring pixels down a column, if pixels are not square; --pixel-pitch-um is then along a row.
     field_mm
-        Width of the field on the skin, by a data sheet or a ruler, where the pixel pitch is not known; the pitch that
-        follows from it is stated with ± 5 %, which every height carries.
+        Width of the field on the skin, by a data sheet or a ruler, if the pixel pitch is not known; the pitch that
+        follows from it has ± 5 %, which the ± of every height includes.
     ball_diameter_mm
-        Diameter of the calibration ball; goes before what the files say.
+        Diameter of the calibration ball; overrides that of the files.
     ball_radius_mm
-        The same as half of the diameter.
+        Radius of the calibration ball, instead of its diameter.
     encoding
         How pixel values encode light.
     reference

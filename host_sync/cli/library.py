@@ -52,15 +52,15 @@ def list_command(
     Parameters
     ----------
     text
-        Words that stand anywhere in what is known of a scan; with an option that changes labels, the scans to change.
+        Words to find in any field of a scan; with an option that changes labels, the scans to change.
     library
         Folder of the library; ~/Retrograph by default.
     job
-        Text in the annotation.
+        Text in the job's name.
     part
-        Text in the annotation.
+        Text in the part's name.
     operator
-        Text in the annotation.
+        Text in the operator's name.
     verdict
         Verdict of the quick look.
     gel
@@ -68,19 +68,19 @@ def list_command(
     device
         Id of the device.
     since
-        First day, by the device's clock.
+        First day of the scans, by the device's clock.
     until
-        Last day, by the device's clock.
+        Last day of the scans, by the device's clock.
     name
         Name of the label.
     tag
-        One of its tags.
+        One of the label's tags.
     note
-        Its note.
+        Text in the label's note.
     save
-        Keep these conditions under a name.
+        Save these conditions under this name.
     saved
-        Use the conditions that were saved under this name; others are added.
+        Use the conditions that were saved under this name, and others given here.
     set_name
         Give one scan a name for lists and the viewer; an empty text removes it.
     add_tag
@@ -90,11 +90,11 @@ def list_command(
     set_note
         Give the scans a note; an empty text removes it.
     like
-        List instead the surfaces that look most like this scan's or result folder's, shifted and turned presses too.
+        List instead the scans whose surfaces look most like those of this scan or result folder, shifted or turned too.
     count
-        Number of surfaces that --like lists.
+        Number of scans that --like lists.
     set_aside
-        List instead what was passed over or moved to set-aside/, with the reason.
+        List instead the bundles that were skipped or moved to set-aside/, with the reason.
     json
         Print one JSON document instead of lines.
     """

@@ -1,6 +1,6 @@
 """`retrosync`: the workstation's command line.
 
-Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.
+Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 no connection, 130 stopped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ COMMANDS: Final = (
     Command(
         "demo",
         "host_sync.cli.demo:demo_command",
-        "Play the whole way with a simulated handheld: calibrate, scan, pull, reconstruct, look.",
+        "Run the whole workflow with a simulated handheld: calibrate, scan, pull, reconstruct, view.",
         (
             "retrosync demo",
             "retrosync demo --out story --no-browser",
@@ -70,7 +70,7 @@ COMMANDS: Final = (
     Command(
         "status",
         "host_sync.cli.devices:status_command",
-        "List the paired devices and how the last pull from each went; with --network, who announces itself.",
+        "List the paired devices and how the last pull from each went; with --network, the devices in reach.",
         (
             "retrosync status",
             "retrosync status --network --json",
@@ -142,7 +142,7 @@ COMMANDS: Final = (
     Command(
         "mosaic",
         "host_sync.cli.mosaic:mosaic_command",
-        "Stitch overlapping presses of one object into one height map, which measure, view, report and export take.",
+        "Stitch overlapping presses of one object into one height map, for measure, view, report and export.",
         (
             "retrosync mosaic results/ruler-1 results/ruler-2 results/ruler-3 --out ruler",
             "retrosync mosaic results --out whole --layout places.csv",
@@ -225,7 +225,7 @@ COMMANDS: Final = (
     Command(
         "live",
         "host_sync.cli.video:live_command",
-        "Show heights of a sensor in a browser while they come: relight, turn, contact, record. Ctrl-C ends it.",
+        "Show a sensor's heights live in a browser: relight, turn, follow the contact, record. Ctrl-C ends it.",
         (
             "retrosync live gelsight-mini --calibration gel.calibration",
             "retrosync live 0 --calibration gel.calibration --sigma",
@@ -270,7 +270,7 @@ def search_seldom() -> None:
 app = make_app(
     "retrosync",
     "Fetch scans from a handheld, verify them, reconstruct, measure and show their surfaces.",
-    "Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 connection, 130 stopped.",
+    "Exit codes: 0 done, 1 partly done (failures are named), 2 bad input, 3 no connection, 130 stopped.",
 )
 add_commands(app, COMMANDS)
 

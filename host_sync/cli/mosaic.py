@@ -25,9 +25,9 @@ def mosaic_command(
     within_mm: float = 3.0,
     json: bool = False,
 ) -> int:
-    """Stitch overlapping presses of one object into one height map, which measure, view, report and export take.
+    """Stitch overlapping presses of one object into one height map, for measure, view, report and export.
 
-    Exit code 1 says that presses were left out: no overlap joins them to the others, they have no results, or those
+    Exit code 1 means that presses were left out: no overlap joins them to the others, they have no results, or those
     cannot be read.
 
     Parameters
@@ -39,9 +39,9 @@ def mosaic_command(
     library
         Folder of pulled scans, each with its newest results.
     layout
-        CSV file of where presses are, with the columns scan, right_mm, down_mm; without it every pair is compared.
+        CSV file of the presses' places, with the columns scan, right_mm, down_mm; without it every pair is compared.
     within_mm
-        How far off the layout may be.
+        Largest error of the layout.
     json
         Print mosaic.json instead of the summary.
     """

@@ -89,8 +89,8 @@ def reconstruct(
     library
         Folder of pulled scans; results go to SCAN/results/.
     calibration
-        File that `retrosync calibrate` wrote. By default the presses of the frame set, or the calibration of each scan,
-        calibrate; the first time only: calibrations are kept in a cache.
+        File that `retrosync calibrate` wrote. By default the frame set's presses, or each scan's own calibration, are
+        used; a cache keeps the result.
     s_filter_um
         Also write the detail: nesting index of the Gaussian filter that removes shorter wavelengths.
     l_filter_um
@@ -101,23 +101,23 @@ def reconstruct(
     force
         Also reconstruct scans that do not fit their calibration; result.json keeps the warning.
     workers
-        Scans of a library at a time, each in a process of its own that computes with one thread. By default as many as
-        there are cores, at most one for every 4 scans, and no more than fit into the available memory: one takes 0.4 GB
-        and 70 bytes a pixel (1.3 GB at 12 megapixels). 1 stays in this process.
+        Number of processes, each for one scan of a library at a time, with one thread. By default as many as there are
+        cores, at most one for every 4 scans, and no more than fit into the available memory: one takes 0.4 GB and
+        70 bytes a pixel (1.3 GB at 12 megapixels). 1 uses this process.
     cluster
         Address of a dask scheduler (tcp://HOST:8786), or its file: its workers, which share the library's folder with
         this computer, reconstruct the scans of the library. Needs the extra `cluster`; see docs/offload.md.
     json
-        Print one JSON document instead of lines: calibrations, and what became of each scan.
+        Print one JSON document instead of lines: calibrations, and the outcome of each scan.
     watch
-        Reconstruct and measure whatever comes into the library, ~/Retrograph by default, until Ctrl-C. Measurements go
-        to measurements/SCAN.json in it. What is already done is not done again.
+        Reconstruct and measure new scans of the library, ~/Retrograph by default, until Ctrl-C. Measurements go to
+        measurements/SCAN.json in it. Existing results are not repeated.
     recipe
         With --watch: TOML file of the measurement recipe.
     every_s
-        With --watch: look for new scans so many seconds after the last look's work is done; at most a day.
+        With --watch: seconds from the end of a round of work to the next look for new scans; at most a day.
     once
-        With --watch: do what there is to do now, and end: exit code 1 when a scan failed.
+        With --watch: do the work that there is now, and end; exit code 1 means that a scan failed.
     """
     if watch:
         if out is not None or calibration is not None or cluster is not None or json or len(names) > (library is None):

@@ -47,7 +47,7 @@ class Look:
     occlusion
         Darken places that see little of the sky (ambient occlusion).
     range_um
-        Heights of the first and last colour. Default: of each picture its own, of a contact sheet those of all.
+        Heights of the first and last colour. Default: the range of each picture, or of all on a contact sheet.
     """
 
     width: int = 1600

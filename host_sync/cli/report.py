@@ -61,7 +61,7 @@ def report_command(
     overwrite
         Replace existing reports.
     pdf
-        Write a PDF of each report; --no-pdf writes HTML alone, on a machine without such a browser.
+        Write a PDF of each report, by Chromium, Chrome or Edge; --no-pdf writes HTML alone.
     """
     chosen = chosen_recipe(recipe, {})
     style, logo = _template(template)

@@ -54,13 +54,13 @@ def verify_command(
         Fetch lost and damaged bundles again from these cards, folders, mirrors or paired devices, in this order;
         damaged copies move to set-aside/.
     mirror
-        Copy what this folder or sftp://USER@HOST:PORT/FOLDER lacks, and read back every file there.
+        Copy to this folder or sftp://USER@HOST:PORT/FOLDER all that it lacks, and read back every file there.
     rehash
         With --mirror, hash again what is there already.
     forget
         Take the named bundles, which you removed yourself, out of the intake record.
     reproduce
-        Reconstruct scans with results again: the same version must give the same bits; others list changes.
+        Reconstruct scans with results again: the same version must give the same bits; for others, list changes.
     json
         Print one JSON document instead of lines.
     """

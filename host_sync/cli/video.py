@@ -133,9 +133,9 @@ def live_command(
     port: int = 0,
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
 ) -> int:
-    """Show heights of a sensor in a browser while they come: relight, turn, contact, record. Ctrl-C ends it.
+    """Show a sensor's heights live in a browser: relight, turn, follow the contact, record. Ctrl-C ends it.
 
-    The newest frame is shown; those that come while it is solved are dropped and counted. A sensor that is unplugged is
+    The newest frame is shown; frames that come while it is solved are dropped and counted. An unplugged sensor is
     looked for again.
 
     Parameters
@@ -149,7 +149,7 @@ def live_command(
     library
         Folder of pulled calibrations.
     record
-        Folder for recordings, which the key R begins and ends; `retrosync video` reconstructs their frames.
+        Folder for recordings, which the key R starts and stops; `retrosync video` reconstructs their frames.
     sigma
         Also find the uncertainty of heights, for the ± of depth and area; about half as many pictures a second.
     encoding

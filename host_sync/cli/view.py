@@ -44,7 +44,7 @@ def view_command(
     host
         Address to listen on. Beyond this machine the connection is not encrypted.
     port
-        Port to listen on; by default the one with which this folder was viewed last, at first a free one.
+        Port to listen on; by default that of this folder's last view, at first a free one.
     cache
         Cache folder, which can be deleted at any time; in the user's cache by default.
     browser

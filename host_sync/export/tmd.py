@@ -101,4 +101,4 @@ def _doubts_beside(path: Path) -> tuple[str, ...]:
     except OSError:
         text = ""
     found = tuple(one_line(line) for line in text.splitlines()[1:] if line.strip())
-    return found or (f"{UNNAMED}: the file is marked, and {doubts_path(path).name} with the reasons is not beside it",)
+    return found or (f"{UNNAMED}: the file is marked, and {doubts_path(path).name} with the reasons is not next to it",)

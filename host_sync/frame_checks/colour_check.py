@@ -50,7 +50,7 @@ def check_frame(
     step = _step(intensity.shape, samples_along)
     turn = _turn(intensity, flat_field, step)
     if turn is not None:
-        warnings.append(f"its light lies over the field as if it were {turn}")
+        warnings.append(f"its light is distributed over the field as if it were {turn}")
     strange = _strange_share(intensity, inverse, step)
     if strange > MAX_OUT_OF_DOMAIN:
         warnings.append(f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})")

@@ -198,7 +198,7 @@ class PatternModel:
         unseen = not_checked(SHARPNESS, "the reference's pattern is not seen at its place")
         if anywhere.sigmas >= (SIGNIFICANT if self.identifiable else IDENTIFIABLE):
             words = (
-                f"the skin's pattern lies {anywhere.column_px:+d} columns and {anywhere.row_px:+d} rows beside the "
+                f"the skin's pattern is {anywhere.column_px:+d} columns and {anywhere.row_px:+d} rows off the "
                 f"reference's, {anywhere.distance_px:.0f} px (at most {self.tolerance_px:.0f} px): camera or gel moved"
             )
             return self._displaced(anywhere.distance_px, words), unseen

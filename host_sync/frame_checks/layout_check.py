@@ -117,7 +117,7 @@ class LayoutModel:
         others = [exchange for exchange in found if not exchange.turned]
         words = []
         if turned:
-            words.append("its light lies over the field as if it were " + " or ".join(e.name for e in turned))
+            words.append("its light is distributed over the field as if it were " + " or ".join(e.name for e in turned))
         if others:
             words.append(others[0].name + " where the reference has R, G, B")
         ratio = found[0].left / found[0].as_given

@@ -229,7 +229,7 @@ class LightPositionModel:
         """Return the check of a frame's log intensity in cells; `tolerance_px` may always be off."""
         shift = _shift(cells, self.gradient)
         if shift is None or not self.presses:
-            return not_checked(POSITION, "too little untouched skin shows how the light lies")
+            return not_checked(POSITION, "too little untouched skin to show the distribution of the light")
         limit = tolerance_px + SAFETY * max(press.distance_px * self._worse(shift, press) for press in self.presses)
         if limit > MAX_LIMIT * self.columns:
             return not_checked(
@@ -238,7 +238,7 @@ class LightPositionModel:
         if shift.distance_px <= limit:
             return FrameCheck(POSITION, "passed", shift.distance_px, limit, "px")
         words = (
-            f"its light lies about {shift.columns_px:+.0f} columns and {shift.rows_px:+.0f} rows beside the "
+            f"its light is about {shift.columns_px:+.0f} columns and {shift.rows_px:+.0f} rows off the "
             f"reference's, {shift.distance_px:.0f} px (at most {limit:.0f} px): camera or lights moved"
         )
         return FrameCheck(POSITION, "refused", shift.distance_px, limit, "px", words)

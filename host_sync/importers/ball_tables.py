@@ -100,7 +100,7 @@ def _draft(
         raise FrameSetError(f"{source}: its table lists no press: fill it in, or name the folder of the images")
     if not presses:
         raise FrameSetError(
-            f"{source}: none of the listed images is there, such as {missing[0]}: fetch the folder whole"
+            f"{source}: none of the listed images is there, such as {missing[0]}: fetch the whole folder"
         )
     reference = said.reference or (rest if rest.is_file() else None)
     shown = presses[::SHOWN_EVERY]
@@ -186,7 +186,7 @@ def import_annotated(source: Path, said: Said) -> Draft:
         if name in images
     ]
     if not presses:
-        raise FrameSetError(f"{source}: none of the images that {table.name} lists is there: fetch the folder whole")
+        raise FrameSetError(f"{source}: none of the images that {table.name} lists is there: fetch the whole folder")
     folder = presses[0].images[0].parent
     rest = said.reference or next(
         (one for place in (folder, source) for one in sorted(place.iterdir()) if _is_at_rest(one, circles)), None

@@ -247,7 +247,7 @@ def left_out(missing: Sequence[str]) -> tuple[str, ...]:
     if not missing:
         return ()
     count = "1 listed image is" if len(missing) == 1 else f"{len(missing)} listed images are"
-    return (f"{count} not there and left out, such as {missing[0]}: fetch the folder whole",)
+    return (f"{count} not there and left out, such as {missing[0]}: fetch the whole folder",)
 
 
 def inside(source: Path, name: str) -> Path:
@@ -269,7 +269,7 @@ def inside(source: Path, name: str) -> Path:
             there = (place for end in ends if end and (place := source / _as_spelled(source, end)).exists())
             path = next(there, source / name.rpartition("/")[2])
     if not path.resolve().is_relative_to(source.resolve()):
-        raise FrameSetError(f"{source}: {name!r} is outside of the folder: fetch the folder whole")
+        raise FrameSetError(f"{source}: {name!r} is outside of the folder: fetch the whole folder")
     return path
 
 
@@ -289,7 +289,7 @@ def _digest(image: Path) -> bytes:
         with image.open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
     except OSError as error:
-        raise FrameSetError(f"{image}: cannot be read ({error.strerror}): fetch the folder whole") from error
+        raise FrameSetError(f"{image}: cannot be read ({error.strerror}): fetch the whole folder") from error
 
 
 def _image(images: Sequence[Path], folder: Path) -> str:

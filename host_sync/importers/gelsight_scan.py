@@ -42,7 +42,7 @@ def import_gelsight(source: Path, said: Said) -> Draft:
     files = [source / SCAN_FILE] if (source / SCAN_FILE).is_file() else sorted(source.glob(f"*/{SCAN_FILE}"))
     scans = [scan for scan in (_read(file) for file in files) if scan.images]
     if not scans:
-        raise FrameSetError(f"{source}: holds no {SCAN_FILE} with images beside it: name a scan's folder or its parent")
+        raise FrameSetError(f"{source}: holds no {SCAN_FILE} and its images: name a scan's folder or its parent")
     if len({len(scan.images) for scan in scans}) > 1:
         counts = ", ".join(f"{scan.folder.name} {len(scan.images)}" for scan in scans)
         raise FrameSetError(f"{source}: scans have different numbers of images ({counts}): import them apart")
@@ -97,7 +97,7 @@ def _read(file: Path) -> _Scan:
     listed = [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
     images = [inside(file.parent, name) for name in listed]
     if missing := [image.name for image in images if not image.is_file()]:
-        raise FrameSetError(f"{file}: its image {missing[0]!r} is not there: fetch the folder whole")
+        raise FrameSetError(f"{file}: its image {missing[0]!r} is not there: fetch the whole folder")
     marks = keys.get("annotations", [])
     tables = [mark for mark in marks if isinstance(mark, dict)] if isinstance(marks, list) else []
     circles = [

@@ -213,7 +213,7 @@ class ArealMeasurand:
         if self._beyond_share > BEYOND_SHARE:
             done = "it is kept"
             if self._left_out is not None:
-                done = "it is left out, what that changes is in the ±, and --keep-extrapolated keeps it"
+                done = "it is left out, the effect is in the ±, and --keep-extrapolated keeps it"
             share = f"{self._beyond_share:.1%} of the area"
             every.append(f"extrapolated slopes: {share} has slopes beyond those of the calibration balls: {done}")
         return {"": tuple(every)} | self._spatial_warnings()

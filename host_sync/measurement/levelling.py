@@ -131,7 +131,7 @@ class LevelSpread:
         if not samples or not known.any():
             return ""
         before, after = (float(np.median(np.sqrt(square[known] / samples))) for square in self._squares)
-        return f": the median ± of a height goes from {before:.2g} to {after:.2g} µm (k = 1)"
+        return f": the median ± of a height changes from {before:.2g} to {after:.2g} µm (k = 1)"
 
 
 def _chosen(table: LevelTable, surface: ResultSurface) -> MaskArray:

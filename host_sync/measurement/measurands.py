@@ -165,7 +165,7 @@ class StepMeasurand(_Plain):
         if share >= 1.0:
             return {}
         words = (
-            f"the line holds {share:.0%} of the profile that the flank of {self.edges.flank_um:.0f} µm asks for beside "
+            f"the line holds {share:.0%} of the profile that the flank of {self.edges.flank_um:.0f} µm needs next to "
             "the edge: lengthen it"
         )
         return {self._label: (words,)}

@@ -180,7 +180,7 @@ def _refusal(found: Fit, pair: Pair, one: Small) -> str:
     if found.agreement < MIN_AGREEMENT:
         return f"their slopes agree by only {100.0 * max(found.agreement, 0.0):.0f} %"
     if not np.isfinite(found.covariance).all() or not found.sigma_px <= MAX_SIGMA_PX:
-        return "the overlap does not tell the shift"
+        return "the overlap does not determine the shift"
     if coherence(pair, found.pose) < MIN_COHERENCE:
         return "the shift along one direction is not seen"
     return ""

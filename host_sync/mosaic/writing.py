@@ -108,7 +108,7 @@ def _link_records(presses: list[Press], plan: Plan) -> Iterator[LinkRecord]:
         known, used = np.isfinite(residual_px), found.used[number]
         why = ""
         if not used:
-            why = f"off by {residual_px * pitch_um:.3g} µm ({sigmas:.1f} σ) from what the other links say"
+            why = f"off by {residual_px * pitch_um:.3g} µm ({sigmas:.1f} σ) from the other links"
             if not known:
                 why = "joins presses that are left out"
         yield msgspec.structs.replace(

@@ -57,7 +57,7 @@ RIVAL_SIGMAS: Final = 3.0
 MIN_COHERENCE: Final = 0.5
 """Least correlation of both maps' change of slope along any direction: noise alone changes along a prism."""
 
-SLIDES: Final = "the shift along one direction is not seen: the object slides along itself there"
+SLIDES: Final = "the shift along one direction is not seen: the relief is the same there"
 NOTHING_IN_COMMON: Final = "the two scans hardly overlap: choose two of the same place"
 
 
@@ -169,8 +169,8 @@ def _judged(found: Fit, by: str, refused: str = "") -> Registration:
         )
     elif not found.sigma_px <= MAX_SIGMA_PX:
         refused = refused or (
-            f"the shift is known to ± {found.sigma_px:.2g} px only (at most {MAX_SIGMA_PX:.2g}): the object slides "
-            "along itself, or too little of it is seen"
+            f"the shift is known to ± {found.sigma_px:.2g} px only (at most {MAX_SIGMA_PX:.2g}): the relief is the "
+            "same along one direction, or too little of it is seen"
         )
     return Registration(found.pose, found.covariance, found.agreement, found.share, by, refused)
 
@@ -250,7 +250,7 @@ def _rivalry(best: Fit, others: list[Fit]) -> str:
         more = (one.residual - best.residual)[np.isfinite(one.residual) & np.isfinite(best.residual)]
         sure = more.size > 2 and more.mean() > RIVAL_SIGMAS * more.std() / np.sqrt(more.size)
         if ratio < RIVAL or not sure:
-            return f"two answers compete: the maps agree about as well {_apart(one.pose, best.pose)} from the best one"
+            return f"two places compete: the maps agree about as well {_apart(one.pose, best.pose)} from the best one"
     return ""
 
 

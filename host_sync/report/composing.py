@@ -40,7 +40,7 @@ def compose(measurement: Measurement, template: Template | None = None, logo: Pi
     origin = origin_of(measurement.folder, record)
     notes = list(measurement.notes)
     if origin.scan is None:
-        notes.append("frame: not shown, because the result is not in a library beside its scan")
+        notes.append("frame: not shown, because the result is not in a library with its scan")
     template = template or Template()
     calibration, hashes = _calibration(measurement, origin), _hashes(measurement, origin)
     report = Report(

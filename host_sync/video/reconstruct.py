@@ -95,7 +95,7 @@ class SequenceOptions:
 
 
 COARSE_LIGHT: Final = (
-    f"light was corrected on {CELLS_ACROSS} cells across the field: heights beside edges may differ from those of the "
+    f"light was corrected on {CELLS_ACROSS} cells across the field: heights next to edges may differ from those of the "
     "frame reconstructed alone by several times their ±"
 )
 

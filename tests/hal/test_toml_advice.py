@@ -56,10 +56,10 @@ def test_the_line_and_its_mend_are_said(line: str, words: str) -> None:
 
 
 def test_twice_is_said_to_be_twice() -> None:
-    with pytest.raises(msgspec.DecodeError, match="line 3, pitch = 2: this key stands twice"):
+    with pytest.raises(msgspec.DecodeError, match="line 3, pitch = 2: this key appears twice"):
         decode_toml(b'name = "a"\npitch = 1.0\npitch = 2\n', Table)
     with pytest.raises(
-        msgspec.DecodeError, match=r"line 3, \[press\]: this table stands twice: leave one out, or .*press"
+        msgspec.DecodeError, match=r"line 3, \[press\]: this table appears twice: leave one out, or .*press"
     ):
         decode_toml(b'[press]\nname = "a"\n[press]\nname = "b"\n', Table)
 

@@ -212,7 +212,7 @@ class ScansScreen(InstrumentScreen):
         self._list.show([scan_line(entry) for entry in self._scans], place)
         if not self._scans:
             self._shown = None
-            self._relief.show(None, "No such scan: / asks for other words." if self._history.scans else "No scans yet.")
+            self._relief.show(None, "No such scan: / takes other words." if self._history.scans else "No scans yet.")
             self._words.update("\n".join(self._history.damaged))
 
     def _show(self, index: int) -> None:

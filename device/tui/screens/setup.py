@@ -36,7 +36,7 @@ from device.tui.widgets.navigation import Notice, Words
 Read = TypeVar("Read")
 
 
-STANDARD_HINT: Final = "As its certificate says; the same unit for both"
+STANDARD_HINT: Final = "As on its certificate; the same unit for both"
 MAX_STANDARD_UM: Final = 1e5
 
 GEL_HINT: Final = "Lower-case letters, digits and hyphens, for example the number on the gel's frame"

@@ -66,7 +66,7 @@ def test_a_doubtful_file_stays_doubtful(tmp_path: Path, z_um: Float32Array) -> N
         assert tuple(held["doubts"]) == doubts
     (second / "part.tmd.doubts.txt").unlink()
     (alone,) = read_tmd(second / "part.tmd").doubts
-    assert "part.tmd.doubts.txt with the reasons is not beside it" in alone
+    assert "part.tmd.doubts.txt with the reasons is not next to it" in alone
 
 
 def test_a_surface_without_doubts_takes_away_those_of_the_one_it_replaces(tmp_path: Path, z_um: Float32Array) -> None:

@@ -85,7 +85,7 @@ KINDS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
     "blue 15 % weaker": (dimmed(2, 0.85), "darker in blue"),
     "all 10 % darker": (lambda rgb: 0.9 * rgb, "darker in all channels"),
     "all 10 % brighter": (lambda rgb: 1.1 * rgb, "brighter in all channels"),
-    "shifted": (lambda rgb: np.roll(rgb, 12, axis=1), "+12 columns and +0 rows beside"),
+    "shifted": (lambda rgb: np.roll(rgb, 12, axis=1), "+12 columns and +0 rows off"),
     "mirrored": (lambda rgb: rgb[:, ::-1], "mirrored left to right"),
     "upside down": (lambda rgb: rgb[::-1], "mirrored top to bottom"),
     "turned": (lambda rgb: rgb[::-1, ::-1], "turned by 180 degrees"),

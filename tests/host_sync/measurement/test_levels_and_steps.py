@@ -63,7 +63,7 @@ def test_what_was_chosen_is_level(kind: str, write_result: Write) -> None:
     assert abs(float(np.median(found.height.z_um[:30]))) < 0.01
     assert float(np.median(found.height.z_um[60:120, 80:160])) == pytest.approx(40.0, abs=0.01)
     (note,) = [one for one in found.notes if one.startswith("levelled on")]
-    assert "median ± of a height goes from" in note
+    assert "median ± of a height changes from" in note
 
 
 def test_a_line_levels_along_itself_alone(write_result: Write) -> None:

@@ -86,7 +86,7 @@ def test_rivals_are_told_apart_in_words() -> None:
     both = [HeightMap((waves + rng.normal(0.0, 0.5, SHAPE)).astype(np.float32), PITCH_UM) for _ in range(2)]
     found = register(*both)
     assert re.match(
-        r"two answers compete: the maps agree about as well \d+\.\d px (up|down) and \d+\.\d px (left|right).* from",
+        r"two places compete: the maps agree about as well \d+\.\d px (up|down) and \d+\.\d px (left|right).* from",
         found.refused,
     )
 
