@@ -29,7 +29,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .PHONY: help demo accuracy methods test test-all test-changed test-deps powercut fuzz system-root system-test system-image image-test image bench format board board-test parts step docs release lock audit clean set-up
 
-help: ## say what there is
+help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
 
 # One thread for linear algebra, as the command lines have it: waiting threads take three times the processor time.
@@ -37,13 +37,13 @@ demo accuracy methods test test-all test-changed: export OPENBLAS_NUM_THREADS ?=
 # Temporary files in memory, where there are 4 GB of it that may hold programs: many tests wait for every file to be on disk.
 test test-all test-changed: export TMPDIR := $(shell bash .ci/temporary-folder)
 
-demo: set-up ## the whole story on the simulated handheld; pictures in demo-output/
+demo: set-up ## the whole workflow on the simulated handheld; pictures in demo-output/
 	@"$(VENV)/bin/python" -m tests.demo.story --out demo-output
 
-accuracy: set-up ## every mark of accuracy, on the twin and on real frames when there are some; writes accuracy.json
+accuracy: set-up ## every accuracy figure against its limit, on the twin and, where present, on real frames; writes accuracy.json
 	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.accuracy $(ARGS)
 
-methods: set-up ## measure the paper's method beside the default again; refreshes the table of docs/paper.md
+methods: set-up ## compare the paper's method with the direct one; rewrites the table of docs/paper.md
 	@"$(VENV)/bin/python" -m tests.benchmarks.accuracy.methods $(ARGS)
 
 # Of tests that may take longer than the limit in pyproject.toml.
@@ -54,13 +54,13 @@ TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadfile --no-load
 test: set-up ## the gate: lint, types, import contracts, and the tests of every promise
 	@$(TESTS)
 
-test-all: set-up ## the gate, and every test that takes long (see tests/tiers.toml; hours)
+test-all: set-up ## the gate, and every long test (see tests/tiers.toml; hours)
 	@$(TESTS) $(UNLIMITED) -m "not board and not system"
 
-test-changed: set-up ## the long tests of what changed since BASE=COMMIT (the main branch, or the commit before)
+test-changed: set-up ## the long tests of parts that changed since BASE=COMMIT (by default the main branch, or the previous commit)
 	@"$(VENV)/bin/python" -m tests.tiers $(BASE)
 
-powercut: set-up ## a thousand power cuts on a recorded ext4, and every call into the system failing once (wants root, qemu-storage-daemon, gcc)
+powercut: set-up ## a thousand power cuts on a recorded ext4, and every call into the system failing once (needs root, qemu-storage-daemon, gcc)
 	@"$(VENV)/bin/python" -m pytest $(UNLIMITED) -m "slow or not slow" -rs tests/device/store/test_power_cut.py tests/host_sync/offload/test_io_faults.py
 
 fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by coverage, where atheris is installed
@@ -71,7 +71,7 @@ fuzz: set-up ## a hundred thousand mutated inputs; then two minutes guided by co
 	    printf 'atheris is not installed (x86-64: %s -m pip install "atheris>=3"): nothing was guided by coverage\n' "$(VENV)/bin/python"
 	fi
 
-system-root: system-cache ## libcamera's virtual camera under our driver, in a Debian of its own (wants root and QEMU)
+system-root: system-cache ## libcamera's virtual camera under our driver, in a separate Debian (needs root and QEMU)
 	@RETROGRAPH_SYSTEM="$(SYSTEM_CACHE)" "$(VENV)/bin/python" -m pytest $(UNLIMITED) -m system --basetemp "$(SYSTEM_CACHE)/run" tests/system/test_virtual_camera.py
 
 system-test: system-cache system-image ## the whole handheld on a virtual board, and the card's image: install, scan, pull, update, power cuts (QEMU)
@@ -94,28 +94,28 @@ system-cache: set-up
 
 # The time that packages and file systems are made at: the commit's, so that it says nothing of the day.
 image: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1735689600)
-image: release ## a card's image in dist/image/BOARD.img (BOARD=...; see docs/image.md; wants root)
+image: release ## a card's image in dist/image/BOARD.img (BOARD=...; see docs/image.md; needs root)
 	@"$(VENV)/bin/python" .ci/image/image_build.py --board "$(BOARD)" --cache "$(IMAGE_CACHE)" --output "dist/image/$(BOARD).img" \
 	    --install "$(INSTALL)" --snapshot "$(SNAPSHOT)" $(if $(SSH_KEY),--ssh-key "$(SSH_KEY)") $(if $(NETWORK),--network "$(NETWORK)") \
 	    $(if $(SOURCES),--sources "$(SOURCES)") $(if $(UPDATE),--update "dist/image/$(BOARD).update")
 	[ -z "$(UPDATE)" ] || bash .ci/seal "dist/image/$(BOARD).update" $(if $(KEY),"$(abspath $(KEY))")
 
-test-deps: ## what more a Debian machine needs for every test: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (asks for root)
+test-deps: ## install what every test needs on Debian: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (needs root)
 	@bash .ci/test-deps all
 
-bench: set-up ## ours and its peers side by side; a table and bench.json (QUICK=1: seconds, shows only that it runs)
+bench: set-up ## speed next to peer programs; a table and bench.json (QUICK=1: seconds, shows only that everything runs)
 	@bash .ci/set-up-bench "$(VENV)"
 	PYTHONPATH="$(abspath $(VENV))/peers" "$(VENV)/bin/python" -m tests.benchmarks.speed.run $(if $(QUICK),--quick)
 
-format: set-up ## put the code into the house's form
+format: set-up ## format the code
 	@"$(VENV)/bin/ruff" format
 	"$(VENV)/bin/ruff" check --fix
 
-board: set-up ## write the tables and drawings in board/ again, and what a board house wants into build/board
+board: set-up ## write the tables and drawings in board/ again, and files for a board house into build/board
 	@"$(VENV)/bin/python" -m tests.drawings.board.drawings
 	"$(VENV)/bin/python" -m tests.drawings.pcb.make
 
-board-test: set-up ## the files for a board house, read back by gerbonara and judged by KiCad's rules, where that is installed
+board-test: set-up ## read the files for a board house back with gerbonara, and check KiCad's rules where that is installed
 	@if ! cmp -s requirements-board.lock "$(VENV)/board/made-of"; then
 	    rm -rf "$(VENV)/board"
 	    "$(VENV)/bin/python" -m pip install --quiet --target "$(VENV)/board" --no-deps --require-hashes --only-binary :all: \
@@ -124,14 +124,14 @@ board-test: set-up ## the files for a board house, read back by gerbonara and ju
 	fi
 	PYTHONPATH="$(abspath $(VENV))/board" "$(VENV)/bin/python" -m pytest -rs tests/board/test_pcb_files.py
 
-parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; wants openscad)
+parts: ## STL of every part of a housing in dist/parts/BOARD (BOARD=pi5-imx296 or pi4-imx477; minutes; needs openscad)
 	@mkdir -p "dist/parts/$(BOARD)"
 	for part in $(or $(PARTS),$(EVERY_PART)); do
 	    openscad -q -D "part=\"$$part\"" -D 'board="$(BOARD)"' -o "dist/parts/$(BOARD)/$$part.stl" board/enclosure/retrograph.scad
 	    echo "dist/parts/$(BOARD)/$$part.stl"
 	done
 
-step: ## STEP of every part beside its STL: exact solids for a machine shop (BOARD, PARTS as above; seconds; wants openscad)
+step: ## STEP of every part, next to its STL: exact solids for a machine shop (BOARD, PARTS as above; seconds; needs openscad)
 	@if ! cmp -s .ci/step/step.lock "$(STEP_TOOL)/made-of"; then
 	    "$(PYTHON)" -m venv --clear "$(STEP_TOOL)"
 	    "$(STEP_TOOL)/bin/python" -m pip install --quiet --require-hashes --only-binary :all: -r .ci/step/step.lock
@@ -160,7 +160,7 @@ release: set-up ## wheel and sdist in dist/; dist/release for handhelds (wheel, 
 	echo "dist/ holds wheel and sdist: pip install \"$$(echo dist/*.whl)[host]\""
 	echo "dist/release is ready$(if $(KEY),, and not signed (KEY=...)): copy it to the handheld and run sudo board/install.sh --board NAME there"
 
-lock: ## choose the newest versions that pyproject.toml allows and pin them (wants the network)
+lock: ## choose the newest versions that pyproject.toml allows and pin them (needs the network)
 	@bash .ci/set-up check "$(PYTHON)"
 	"$(PYTHON)" -m venv --clear .lock-tool
 	trap 'rm -rf .lock-tool' EXIT
@@ -186,7 +186,7 @@ lock: ## choose the newest versions that pyproject.toml allows and pin them (wan
 	UV_CUSTOM_COMPILE_COMMAND='make lock' .lock-tool/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --no-emit-find-links --output-file .ci/audit.lock - <<<pip-audit
 
-audit: ## whether a locked package has a known fault (wants the network; without it nothing is audited)
+audit: ## look for known faults of locked packages (needs the network; without it nothing is audited)
 	@bash .ci/audit "$(PYTHON)"
 
 clean: ## remove .venv, demo-output and every cache
