@@ -151,6 +151,7 @@ def test_a_file_that_is_not_text_is_one_sentence(
 ) -> None:
     name, data = case
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("host_sync.cli.console.LINES_EVERY_S", 1e6)  # no step is written, however long it takes
     (tmp_path / "FILE.toml").write_bytes(data)
     program, words = split(READS_A_FILE[name])
     assert PROGRAMS[program][1](words) == 2
