@@ -26,7 +26,7 @@ from host_sync.errors import (
 from host_sync.frames.equal_channels import check_channels
 from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
-from host_sync.frames.full_scale import check_full_scale, count_values, full_scale_of
+from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.linear_light import frame_of_values, read_frame
 from host_sync.frames.orientation import check_one_orientation, square_pitch
@@ -199,10 +199,7 @@ def image_form(images: Sequence[Image], encoding: Encoding, full_scale: object, 
     if not deep:
         return replace(form, full_scale=given)
     counts = count_values(read_image(one) if isinstance(one, Path) else one for one in deep)
-    if given is not None:
-        check_full_scale(counts, given)
-        return replace(form, full_scale=given)
-    return replace(form, full_scale=full_scale_of(counts, stated or None, encoding))
+    return replace(form, full_scale=full_scale_of(counts, stated or None, encoding, given))
 
 
 def press_frame(number: int, press: Press, pixel_pitch_um: float, form: FrameSpec) -> PressFrame:

@@ -40,7 +40,7 @@ MIN_CONTACT: Final = 0.33
 IMPOSSIBLE_CONTACT: Final = 1.08
 """No skin follows a sphere beyond its own radius; the skin around it lets a contact seem a little wider."""
 
-IMPOSSIBLE: Final = "wider than a ball of this radius can press: check the ball's radius and the pixel pitch"
+TOO_WIDE: Final = "wider than a ball of this radius can press: check the ball's radius and the pixel pitch"
 
 MIN_RADIUS_PX: Final = 4.0
 """The slopes of a smaller ball change too much from pixel to pixel."""
@@ -243,7 +243,7 @@ def _fault(sighting: _Sighting, shape: tuple[int, int], radius_px: float, *, alo
     if uneven := _unevenness(sighting):
         return f"does not follow the sphere ({uneven:.0%} of its shading is uneven)"
     if sighting.contact > IMPOSSIBLE_CONTACT:
-        return IMPOSSIBLE
+        return TOO_WIDE
     return ""
 
 

@@ -360,7 +360,7 @@ class _Trial:
         return balanced_errors(self.lesson.samples.ball, slope_from_stereographic(held_out), self.lesson.slope)
 
     def at_best_penalty(self) -> tuple[RegressorFit, float]:
-        """Return the learner at the best penalty so far or beside it, and its held-out error.
+        """Return the learner at the best penalty so far or next to it, and its held-out error.
 
         Of penalties whose errors are alike, the smallest is taken.
         """

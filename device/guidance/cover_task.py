@@ -216,7 +216,7 @@ class Covering:
         return found
 
     def next_place(self) -> tuple[float, float] | None:
-        """Return the middle of the field that covers most beside enough overlap, right and down.
+        """Return the middle of the field that covers most with enough overlap, right and down.
 
         It is in mm from the first press's middle. What lies further up counts for more, so that rows are filled one
         after the other; of places that are worth as much, the nearest to the last press. None where nothing is left but

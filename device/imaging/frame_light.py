@@ -28,10 +28,6 @@ DOUBTED: Final = 3.0
 """Standard uncertainties up to which a level is none."""
 
 
-ROWS_AT_ONCE: Final = 16
-"""Rows that stay in the processor's memory while a frame's light is taken out."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLight:
     """Light of a frame against that of the calibration.
@@ -66,16 +62,11 @@ class FrameLight:
         if self.change == 0.0 and self.stray == 0.0:
             return
         # One value a column and channel: a loop over three channels alone takes four times the time.
-        columns = (values.shape[1], 1)
-        offsets = np.tile(self.offsets.astype(np.float32), columns)
-        per_gain = np.tile((1.0 / self.gains).astype(np.float32), columns)
-        rows = range(*slice(first, last).indices(len(values)))
-        for start in rows[::ROWS_AT_ONCE]:
-            part = slice(start, min(start + ROWS_AT_ONCE, rows.stop))
-            dark = np.maximum(flat_field[part], np.float32(DARK_FLOOR))
-            np.divide(offsets, dark, out=dark)
-            values[part] -= dark
-            values[part] *= per_gain
+        columns, rows = (values.shape[1], 1), slice(first, last)
+        dark = np.maximum(flat_field[rows], np.float32(DARK_FLOOR))
+        np.divide(np.tile(self.offsets.astype(np.float32), columns), dark, out=dark)
+        values[rows] -= dark
+        values[rows] *= np.tile((1.0 / self.gains).astype(np.float32), columns)
 
 
 def certain_levels(

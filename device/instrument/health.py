@@ -100,9 +100,10 @@ class BaselineScheduler:
         motion, in_air = live.reading.motion, live.reading.in_air
         is_calm = motion is not None and motion < MOVING
         self._calm_frames = self._calm_frames + 1 if is_calm else 0
-        if in_air != self._was_in_air:
+        has_changed = in_air != self._was_in_air
+        if has_changed:
             self._checked_ns = 0
-        if not self._health.knows_shares and (not is_calm or in_air != self._was_in_air):
+        if not self._health.knows_shares and (not is_calm or has_changed):
             self._is_requested = True
         self._was_in_air = in_air
         if self._check is None and self._health.knows_shares and self._is_due(live):

@@ -132,7 +132,7 @@ class ReferenceModel:
         return _region(ratio, agreeing)
 
     def lights_beside_press(self, intensity: NormalizedImage, shares: LightShares) -> Levels | None:
-        """Return the light levels of untouched skin beside an object; None if unknown or not as calibrated."""
+        """Return the light levels of untouched skin next to an object; None if unknown or not as calibrated."""
         mean, spread = _blocks(intensity.values)
         levels = shares.levels(mean / self.mean)
         if (np.abs(levels - 1.0).max(axis=-1) > STEEP_CHANGE).mean() < STEEP_FRACTION:

@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.balls.detector import IMPOSSIBLE
+from device.balls.detector import TOO_WIDE
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.acceptance import Check, Coverage, check_fit, fit_checks, measure_coverage
 from device.calibration.fit import InverseFit
@@ -159,7 +159,7 @@ DIAMETER: Final = f"widest contact over the stated radius ({DIAMETER_QUESTION})"
 DIAMETER_CONTACT: Final = 0.45
 """A contact reaches 0.8 of the radius at most, 0.4 of the diameter; one ring's width is added."""
 
-TOO_WIDE: Final = "share of given balls that look wider than their radius and the pixel pitch allow"
+GIVEN_TOO_WIDE: Final = "fraction of presses whose given balls look wider than radius and pixel pitch allow"
 MAX_TOO_WIDE: Final = 0.1
 """It is 0 on seven labelled sets of real sensors; with twice the pitch, .28 to .97 on four, .03 and 0 on three."""
 
@@ -183,15 +183,15 @@ def checks(
     spread = Check("relative spread of ball radii from shading", radius_spread, MAX_RADIUS_SPREAD, "at most")
     off = () if shape is None else (Check(PIXEL_SHAPE, shape.off, shape.allowed, "at most"),)
     widest = Check(DIAMETER, widest_contact(presses), DIAMETER_CONTACT, "at least")
-    impossible = impossible_share(presses)
-    wide = (Check(TOO_WIDE, impossible, MAX_TOO_WIDE, "at most"),) if impossible else ()
+    fraction = fraction_too_wide(presses)
+    wide = (Check(GIVEN_TOO_WIDE, fraction, MAX_TOO_WIDE, "at most"),) if fraction else ()
     return (first, share, spread, widest, *wide, *off, *rest)
 
 
-def impossible_share(presses: Sequence[UsedPress]) -> float:
-    """Return the share of the presses with given balls that look wider than their ball can press."""
+def fraction_too_wide(presses: Sequence[UsedPress]) -> float:
+    """Return the fraction of presses with given balls in which the skin looks wider than such a ball can press it."""
     found = [press.seen for press in presses if press.balls and press.seen is not None]
-    wide = [seen for seen in found if not seen.found and any(ball.reason == IMPOSSIBLE for ball in seen.rejected)]
+    wide = [seen for seen in found if not seen.found and any(ball.reason == TOO_WIDE for ball in seen.rejected)]
     return len(wide) / max(len(found), 1)
 
 

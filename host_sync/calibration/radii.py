@@ -173,22 +173,26 @@ LOOKED_AT_PX: Final = 320
 
 @dataclass(frozen=True, slots=True)
 class FittingRadius:
-    """The ball radius that fits most of the presses that were looked at, pixels, and how many of how many.
+    """The ball radius that fits most of the presses that were looked at, and how many of how many.
 
-    least_px, most_px : radii that fit as many presses; contacts do not distinguish them
+    radii_px : radii that fit as many presses, ascending; contacts do not distinguish them
     """
 
-    radius_px: float
+    radii_px: tuple[float, ...]
     presses: int
     looked_at: int
-    least_px: float
-    most_px: float
+
+    @property
+    def radius_px(self) -> float:
+        """The middle one of the radii."""
+        return float(np.exp(np.mean(np.log(self.radii_px))))
 
     def sentence(self, pitch_um: float, stated_px: float) -> str:
         """Return the sentence that compares it with the stated radius."""
-        least_mm, most_mm = self.least_px * pitch_um / 1e3, self.most_px * pitch_um / 1e3
+        smallest, largest = self.radii_px[0], self.radii_px[-1]
+        in_mm = f"{smallest * pitch_um / 1e3:.2g} to {largest * pitch_um / 1e3:.2g} mm"
         return (
-            f"a radius from {self.least_px:.0f} to {self.most_px:.0f} px ({least_mm:.2g} to {most_mm:.2g} mm at "
+            f"a radius from {smallest:.0f} to {largest:.0f} px ({in_mm} at "
             f"{pitch_um:g} µm a pixel) fits the balls that show in {self.presses} of {self.looked_at} presses, and "
             f"{stated_px:.3g} px ({stated_px * pitch_um / 1e3:.3g} mm) is stated"
         )
@@ -208,10 +212,8 @@ def fitting_radius(images: Sequence[NormalizedImage]) -> FittingRadius | None:
         radius_px = fraction * min(small[0].shape)
         counts[radius_px * factor] = sum(_shows(image, radius_px) for image in small)
     most = max(counts.values())
-    best = [radius_px for radius_px, count in counts.items() if count == most]
-    if not most:
-        return None
-    return FittingRadius(float(np.exp(np.mean(np.log(best)))), most, len(small), min(best), max(best))
+    best = tuple(radius_px for radius_px, count in counts.items() if count == most)
+    return FittingRadius(best, most, len(small)) if most else None
 
 
 def _shows(image: NormalizedImage, radius_px: float) -> bool:

@@ -54,7 +54,7 @@ class Mesh:
     def normals(self) -> Iterator[Float32Array]:
         """Yield the unit normals of the vertices in order, float32 arrays of shape (N, 3).
 
-        Slopes beside a hole are one-sided.
+        Slopes next to a hole are one-sided.
         """
         rows = self.z_um.shape[0]
         for first in range(0, rows, ROWS):

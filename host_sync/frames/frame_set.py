@@ -23,7 +23,7 @@ from host_sync.frames.frame_set_file import (
     read_frame_set_file,
     set_file,
 )
-from host_sync.frames.full_scale import check_full_scale, count_values, full_scale_of
+from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.image_info import ImageInfo
 from host_sync.frames.orientation import check_one_orientation, square_pitch, square_place, square_shape
@@ -238,13 +238,10 @@ def _full_scale(
     stated = max((known[image].full_scale or 0 for image in images), default=0) or None
     histogram = count_values(read_image(image) for image in dict.fromkeys(images))
     try:
-        if given is not None:
-            check_full_scale(histogram, given)
-            return given, True
-        found = full_scale_of(histogram, stated, frames[0].encoding)
+        found = full_scale_of(histogram, stated, frames[0].encoding, given)
     except FrameSetError as error:
         raise FrameSetError(f"{path}: {error}") from error
-    return found, found == stated
+    return found, found in (given, stated)
 
 
 def _common_form(

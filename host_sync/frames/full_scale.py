@@ -49,22 +49,29 @@ def count_values(images: Iterable[Pixels | RawFrame]) -> NDArray[np.int64]:
     return total
 
 
-def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: Encoding) -> int:
+def full_scale_of(
+    histogram: NDArray[np.int64], stated: int | None, encoding: Encoding, given: int | None = None
+) -> int:
     """Return the full scale of frames of 16 bit.
 
     histogram : of the counts of all frames that share it
     stated : what a file's header says; header fields for the highest sample are used in several senses, so that one
         that is no limit of a number of bits, or that counts exceed, is passed over
+    given : what the user gives, which is returned
 
     Raises
     ------
     FrameSetError
-        It changes what the frames show and is not certain.
+        It changes what the frames show and is not certain; or counts contradict the given one.
     """
     held = np.flatnonzero(histogram)
     peak = int(held[-1]) if held.size else 0
     bits = peak.bit_length()
-    if (level := clip_level(held, histogram[held])) is not None:
+    level = clip_level(held, histogram[held])
+    if given is not None:
+        _check_given(histogram, level, given)
+        return given
+    if level is not None:
         return int(level)
     if stated is not None and peak <= stated < COUNTS - 1 and _is_limit(stated):
         return stated
@@ -81,23 +88,14 @@ def full_scale_of(histogram: NDArray[np.int64], stated: int | None, encoding: En
     return full_scale
 
 
-def check_full_scale(histogram: NDArray[np.int64], stated: int) -> None:
-    """Refuse a full scale that counts contradict: they end at a clear spike far below, or lie far above.
-
-    histogram : as of `full_scale_of`
-
-    Raises
-    ------
-    FrameSetError
-        Says at which count.
-    """
-    held = np.flatnonzero(histogram)
-    level = clip_level(held, histogram[held])
-    if level is not None and level < stated / FAR:
-        raise FrameSetError(f"full_scale: {stated} is stated, and light is clipped at {level:.0f}: correct it")
-    above = int(histogram[int(FAR * stated) :].sum())
+def _check_given(histogram: NDArray[np.int64], level: float | None, given: int) -> None:
+    """Refuse a full scale far above the count at which light is clipped, or far below many counts."""
+    if level is not None and level < given / FAR:
+        raise FrameSetError(f"full_scale: {given} is stated, and light is clipped at {level:.0f}: correct it")
+    above = int(histogram[int(FAR * given) :].sum())
     if above > CLIPPED_PIXELS and above > FEW * histogram.sum():
-        raise FrameSetError(f"full_scale: {stated} is stated, and counts reach {held[-1]}: correct it")
+        peak = np.flatnonzero(histogram)[-1]
+        raise FrameSetError(f"full_scale: {given} is stated, and counts reach {peak}: correct it")
 
 
 def clip_level(values: NDArray[Any], counts: NDArray[np.int64]) -> float | None:

@@ -14,7 +14,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.balls.detector import MAX_CONTACT
 from hal.decoding import decode_json
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
@@ -26,8 +25,8 @@ from host_sync.importers.draft import (
     DraftPress,
     DraftScan,
     Said,
-    check_circles,
     inside,
+    largest_contact_px,
     left_out,
 )
 
@@ -171,14 +170,12 @@ def import_annotated(source: Path, said: Said) -> Draft:
     if table is None:
         raise FrameSetError(f"{source}: holds no table with the columns {', '.join(COLUMNS)}: name its folder")
     pitch_um = said.pixel_pitch_um or _stated_pitch_um(source)
-    ball_px = said.ball_radius_mm * 1e3 / pitch_um if said.ball_radius_mm and pitch_um else None
-    largest = MAX_CONTACT * ball_px if ball_px else None
-    circles: dict[str, list[Circle]] = {}
     rows = read_table(table, FrameSetError, COLUMNS)
+    largest = largest_contact_px(table, [number_in(row["radius"]) for row in rows], said.ball_radius_mm, pitch_um)
+    circles: dict[str, list[Circle]] = {}
     for row in rows:
         name = re.split(r"[/\\]", row[COLUMNS[0]])[-1].casefold()  # paths of the computer where they were drawn
         circles.setdefault(name, []).append(_contact(row, largest, table))
-    check_circles(table, [number_in(row["radius"]) for row in rows], ball_px)
     images = _images(source, set(circles))
     presses = [
         DraftPress((images[name],), said.ball_radius_mm, tuple(drawn))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from device.balls.detector import MAX_CONTACT
 from device.errors import OutputError
 from device.io.atomic import write_output
 from host_sync.errors import FrameSetError
@@ -224,22 +225,28 @@ def short_names(images: Sequence[Path]) -> dict[Path, str]:
     return {image: Path(os.path.relpath(image, folder)).as_posix() for image in images}
 
 
-def check_circles(source: Path, drawn_px: Sequence[float], ball_px: float | None) -> None:
-    """Refuse circles around balls that are clearly wider than the balls.
+def largest_contact_px(
+    source: Path, drawn_px: Sequence[float], radius_mm: float | None, pitch_um: float | None
+) -> float | None:
+    """Return the largest radius of a contact of a ball that is trusted; None where ball or pitch is not known.
 
-    ball_px : radius of the ball; None where it is not known
+    drawn_px : radii of the circles that are drawn around balls
 
     Raises
     ------
     FrameSetError
-        The middle one is; gives both radii.
+        The middle circle is clearly wider than the ball; gives both radii.
     """
+    if not radius_mm or not pitch_um:
+        return None
+    ball_px = radius_mm * 1e3 / pitch_um
     middle = sorted(drawn_px)[len(drawn_px) // 2] if drawn_px else 0.0
-    if ball_px is not None and middle > WIDEST_CIRCLE * ball_px:
+    if middle > WIDEST_CIRCLE * ball_px:
         raise FrameSetError(
             f"{source}: circles are drawn with a radius of {middle:.3g} px, and the ball has {ball_px:.3g} px: check "
             "the ball's radius and the pixel pitch"
         )
+    return MAX_CONTACT * ball_px
 
 
 def left_out(missing: Sequence[str]) -> tuple[str, ...]:

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from device.balls.detector import MAX_CONTACT
 from host_sync.errors import FrameSetError
-from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, check_circles, inside
+from host_sync.importers.draft import Circle, Draft, DraftPress, DraftScan, Said, inside, largest_contact_px
 
 SCAN_FILE: Final = "scan.yaml"
 MM_TO_UM: Final = 1e3
@@ -79,10 +78,8 @@ def import_gelsight(source: Path, said: Said) -> Draft:
 
 def _press(scan: _Scan, radius_mm: float | None, pitch_um: float | None) -> DraftPress:
     radius = radius_mm or scan.radius_mm
-    ball_px = radius * MM_TO_UM / pitch_um if radius and pitch_um else None
-    check_circles(scan.folder, [r for *_, r in scan.circles], ball_px)
-    most = MAX_CONTACT * ball_px if ball_px else None
-    circles = tuple((x, y, min(r, most) if most else r) for x, y, r in scan.circles)
+    largest = largest_contact_px(scan.folder, [r for *_, r in scan.circles], radius, pitch_um)
+    circles = tuple((x, y, min(r, largest) if largest else r) for x, y, r in scan.circles)
     return DraftPress(scan.images, radius, circles, scan.spacing_mm)
 
 

@@ -102,7 +102,7 @@ class Datum:
         return self.zero_sigma_beside_um(0.0)
 
     def zero_sigma_beside_um(self, known_um: float) -> float:
-        """Return the standard uncertainty of the zero beside known errors of slopes, µm.
+        """Return the standard uncertainty of the zero in addition to known errors of slopes, µm.
 
         known_um : root mean square by which those errors let blocks' heights differ
         """

@@ -251,7 +251,7 @@ def _box(
 
 
 def _stretch(pair: Pair, found: Fit) -> float:
-    """Return the relative stretch of the second piece over the first: least squares of slopes beside the pose."""
+    """Return the relative stretch of the second piece over the first, fitted to slopes together with the pose."""
     seen = moved(pair.second, found.pose, pair.first.shape, pair.step)
     row, column = np.meshgrid(*(np.arange(size) - 0.5 * (size - 1) for size in seen.shape), indexing="ij")
     q, p = (0.5 * (one + other) for one, other in zip(np.gradient(seen), np.gradient(pair.first), strict=True))

@@ -4,7 +4,7 @@ Groove or ridge (type A): Z = a X + b + h d is fitted over three times its width
 its middle third. A third of the width next to each edge is ignored; the depth is 2 h.
 
 Step: the same with one edge and d = +1 and -1 on its sides. A step has no width to decide how much of the profile
-is used, so its flank decides: nothing within `GAP_FLANKS` of its length beside the edge is used, and `REACH_FLANKS`
+is used, so its flank decides: nothing within `GAP_FLANKS` of its length from the edge is used, and `REACH_FLANKS`
 beyond. The length of the line has no part in it, once it holds that much.
 """
 

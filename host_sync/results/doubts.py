@@ -153,7 +153,7 @@ class _Certificate(msgspec.Struct, frozen=True):
 
 
 def _check_standards(folder: Path, calibration_id: str | None, bundle: str | None) -> Iterator[Doubt]:
-    """Yield the doubt that a certificate beside the result or its calibration states of the calibration.
+    """Yield the doubt that a certificate next to the result or its calibration states of the calibration.
 
     calibration_id : None takes every certificate
     """

@@ -36,6 +36,7 @@ class Table(msgspec.Struct):
         ("pitch = 5.", "write digits on both sides of the point"),
         ("flag = True", "write true or false"),
         ("name = bench", "put texts between quotes"),
+        ("name = Übung", "put texts between quotes"),
         ('name: "bench"', "write = between a key and its value"),
         ('name = "bench', "close the quotes"),
         ("name =", "write a value after ="),

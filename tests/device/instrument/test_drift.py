@@ -116,7 +116,7 @@ def test_a_light_that_weakens_over_untouched_skin_is_no_contact(
         for _ in range(60):
             instrument.step()
         bench.faults.dimmed["blue"] = 0.9
-        for _ in range(100):  # five seconds, for the check runs beside the view; without contact one is due every ten
+        for _ in range(100):  # five seconds, for the check runs in another thread; without contact one is due every ten
             instrument.step()
             state = instrument.state
             if (state.health.light_change["blue"] or 0.0) < -0.05:

@@ -85,16 +85,16 @@ def _currents(profile: BoardProfile, wiring: Wiring, nets: dict[str, tuple[Pin, 
     ohms = {pin.value for pins in nets.values() for pin in pins if pin.part == reference}
     if ohms != {driver.reference_ohm}:
         yield f"REXT: {ohms} ohm are wired, the profile says {driver.reference_ohm:g}"
-    most_ma = largest_ma(driver)
+    channel_ma = largest_ma(driver)
     allowed_ma = min(light.max_ma or 0.0 for light in profile.lights)
-    if most_ma > allowed_ma:
-        yield f"{driver.chip}: lets {most_ma:.1f} mA through, LEDs carry {allowed_ma:g} mA"
+    if channel_ma > allowed_ma:
+        yield f"{driver.chip}: lets {channel_ma:.1f} mA through, LEDs carry {allowed_ma:g} mA"
     heat_w, drawn_ma = 0.0, 0.0
     for led in wiring.leds:
         low, high = FORWARD_VOLTS[led.colour]
         if high + OUTPUT_DROP_V > WEAKEST_SUPPLY_V:
             yield f"{led.light}: {high:g} V of the LED leave too little for the driver's output"
-        ma = most_ma if led.light != "indicator" else led.current_ma
+        ma = channel_ma if led.light != "indicator" else led.current_ma
         drawn_ma += ma * len(led.channels)
         heat_w += 1e-3 * ma * len(led.channels) * (VOLTS["5V"] - low)
     if heat_w > MAX_HEAT_W:

@@ -19,7 +19,7 @@ from host_sync.calibration.assessment import (
     PixelShape,
     checks,
     diameter_note,
-    impossible_share,
+    fraction_too_wide,
     measure_pixel_shape,
     widest_contact,
 )
@@ -163,8 +163,8 @@ def test_labels_of_a_ball_that_cannot_press_as_wide_do_not_pass(factor: float, i
         )
         for seed, place in enumerate(PLACES)
     ]
-    share = impossible_share([locate(press, flat_field) for press in presses])
-    assert (share <= MAX_TOO_WIDE) is is_possible
+    fraction = fraction_too_wide([locate(press, flat_field) for press in presses])
+    assert (fraction <= MAX_TOO_WIDE) is is_possible
 
 
 def test_another_shape_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
