@@ -12,7 +12,12 @@ import numpy as np
 import pytest
 from filelock import FileLock
 from limits import WAIT_S, limited_waits, pytest_runtest_makereport  # noqa: F401
-from lost_workers import pytest_configure, pytest_handlecrashitem, pytest_unconfigure  # noqa: F401 (hooks of every test)
+from workers import (  # noqa: F401 (hooks of every test)
+    pytest_configure,
+    pytest_handlecrashitem,
+    pytest_unconfigure,
+    pytest_xdist_make_scheduler,
+)
 
 from device.acquisition.calibrate import calibrate
 from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
@@ -30,23 +35,14 @@ from hal.simulator.hardware import twin_hardware
 SHAPE = (32, 48)
 ROOT = Path(__file__).parent
 LONG_S = 5.0
-LONGEST_FIRST = ("test_house.py", "host_sync", "device", "board", "", "hal")
+FROM_THE_FRONT = ("test_house.py", "host_sync", "device", "board", "", "hal")
 """Folders and files of this folder, in the order in which they run; "" is every other."""
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the folders whose tests take longest; processes take files from different parts of them.
-
-    Neighbouring files share calibrations and kernels, which another process would only wait for. One process keeps the
-    order of files, which the tests of the virtual board need.
-    """
-    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    """Begin with the type check, and put what compiles kernels first: one process takes files from the front."""
     items.sort(key=_turn)
-    files = list(dict.fromkeys(item.path for item in items))
-    part = -(-len(files) // processes)
-    turn = {path: number % part * processes + number // part for number, path in enumerate(files)}
-    items.sort(key=lambda item: turn[item.path])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -61,7 +57,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 def _turn(item: pytest.Item) -> int:
     first = item.path.relative_to(ROOT).parts[0]
-    return LONGEST_FIRST.index(first if first in LONGEST_FIRST else "")
+    return FROM_THE_FRONT.index(first if first in FROM_THE_FRONT else "")
 
 
 def _frame(seed: int = 0, shape: tuple[int, int] = SHAPE) -> RawFrame:

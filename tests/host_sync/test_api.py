@@ -33,7 +33,6 @@ from host_sync.errors import (
     MosaicError,
     UnreadableResult,
 )
-from host_sync.kernels.cache import USER_CACHE
 from host_sync.mosaic.overlaps import Motion
 from host_sync.video import frame_solver
 
@@ -49,7 +48,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder in which the examples stand: a frame set, its calibration, and a result."""
     folder = write_frame_set(tmp_path_factory.mktemp("api") / "set").parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(USER_CACHE, str(folder / "cache"))
         kept = api.calibrate_frame_set(folder / "frameset.toml")
         kept.write(folder / "gel.calibration")
         api.reconstruct(folder / "ball-6.png", kept, out=folder / "results" / "ball")

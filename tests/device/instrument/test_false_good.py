@@ -17,6 +17,8 @@ from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
 from tests.apparatus.random_presses import Tally, judge_dusty_press, judge_press, random_presses
 
+pytestmark = pytest.mark.slow
+
 MAX_FALSE_ALARMS = 0.01
 MANY_OFF, MANY_HEALTHY, MANY_DUSTY = (int(os.environ.get("RETROGRAPH_PRESSES") or count) for count in (1000, 400, 110))
 
@@ -35,14 +37,14 @@ def judged(
     return tally
 
 
-@pytest.mark.parametrize(("count", "seed"), [(13, 1), pytest.param(MANY_OFF, 2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "seed"), [(13, 1), (MANY_OFF, 2)])
 def test_no_press_with_a_light_off_by_more_than_two_percent_is_good(
     bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, count: int, seed: int
 ) -> None:
     assert judged(count, seed, bench, hardware, calibrated, healthy=False).wrong == []
 
 
-@pytest.mark.parametrize(("count", "seed"), [(22, 5), pytest.param(MANY_DUSTY, 6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "seed"), [(22, 5), (MANY_DUSTY, 6)])
 def test_no_press_on_dust_that_fell_a_second_before_or_with_the_object_is_good(
     bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, count: int, seed: int
 ) -> None:
@@ -57,7 +59,7 @@ def test_no_press_on_dust_that_fell_a_second_before_or_with_the_object_is_good(
     assert said[True] >= 0.7 * count
 
 
-@pytest.mark.parametrize(("count", "seed"), [(9, 3), pytest.param(MANY_HEALTHY, 4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "seed"), [(9, 3), (MANY_HEALTHY, 4)])
 def test_healthy_presses_of_every_object_are_good(
     bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, count: int, seed: int
 ) -> None:

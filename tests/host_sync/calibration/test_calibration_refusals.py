@@ -159,6 +159,7 @@ def test_contradictory_radii_are_refused_with_what_they_read(usual: SimulatedSce
         calibrate(presses(mixed), usual.rest, PITCH_UM)
 
 
+@pytest.mark.slow
 def test_a_press_whose_radius_contradicts_the_others_is_left_out_by_name(
     usual: SimulatedScene, small_twin: BoardProfile
 ) -> None:
@@ -250,6 +251,7 @@ def test_balls_of_another_radius_than_the_stated_one_are_named(usual: SimulatedS
     assert str(refused.value).count("shows no ball") == 1
 
 
+@pytest.mark.slow
 def test_a_diameter_given_as_the_radius_does_not_pass(usual: SimulatedScene) -> None:
     stated = [replace(press, radius_px=2.0 * press.radius_px) for press in presses(usual.balls)]
     assessment = calibrate(stated, usual.rest, PITCH_UM).assessment

@@ -110,6 +110,7 @@ def test_a_ball_that_was_not_seen_is_predicted_to_the_error_that_is_stated() -> 
     assert (light.model.sigma < 0.05).all()
 
 
+@pytest.mark.slow
 def test_light_that_a_polynomial_describes_better_has_no_sources() -> None:
     light = other_light()
     assert not light.has_sources

@@ -4,32 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from near_lamps import RADIUS_PX, SHAPE, balls, press_px
+from near_lamps import SHAPE, balls, press_px
 
-from host_sync.calibration.balls import PressFrame
-from host_sync.calibration.calibrate import Calibration, calibrate
+from host_sync.calibration.calibrate import Calibration
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
-
-PITCH_UM = 20.0
-
-
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    presses = [
-        PressFrame(f"press-{number:02d}", lit_by_ring(press_px(*ball), 3, number), RADIUS_PX)
-        for number, ball in enumerate(balls())
-    ]
-    return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), PITCH_UM)
 
 
 def resting(found: Reconstruction) -> list[float | None]:
     return [check.value for check in found.frame_checks if check.name == "skin at rest"]
 
 
-def test_untouched_skin_is_flat_and_has_a_zero(calibration: Calibration) -> None:
+def test_untouched_skin_is_flat_and_has_a_zero(ring_calibration: Calibration) -> None:
     frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
-    found = reconstruct(frame, calibration, "nothing")
+    found = reconstruct(frame, ring_calibration, "nothing")
     flat_um = float(np.sqrt((found.height.z_um**2).mean()))
     assert not found.datum.is_relative
     assert resting(found) == [pytest.approx(1.0, abs=0.1)]
@@ -37,18 +25,18 @@ def test_untouched_skin_is_flat_and_has_a_zero(calibration: Calibration) -> None
     assert flat_um / float(found.sigma_um.mean()) < 1.3
 
 
-def test_a_ball_stands_on_flat_skin(calibration: Calibration) -> None:
+def test_a_ball_stands_on_flat_skin(ring_calibration: Calibration) -> None:
     press = press_px(*balls()[5])
-    found = reconstruct(lit_by_ring(press, 3, 501), calibration, "ball")
-    truth_um = press * PITCH_UM
+    found = reconstruct(lit_by_ring(press, 3, 501), ring_calibration, "ball")
+    truth_um = press * ring_calibration.pitch_um
     free = truth_um < 0.2
     assert not found.datum.is_relative
     assert np.percentile(np.abs(found.height.z_um[free]), 95) < 0.01 * truth_um.max()
     assert abs(found.height.z_um.max() / truth_um.max() - 1.0) < 0.02
 
 
-def test_noise_is_kept_where_that_is_asked(calibration: Calibration) -> None:
+def test_noise_is_kept_where_that_is_asked(ring_calibration: Calibration) -> None:
     frame = lit_by_ring(np.zeros(SHAPE), 3, 501)
-    kept, without = (reconstruct(frame, calibration, "nothing", keep_noise=keep) for keep in (True, False))
+    kept, without = (reconstruct(frame, ring_calibration, "nothing", keep_noise=keep) for keep in (True, False))
     assert not resting(kept)
     assert float(kept.height.z_um.std()) > 2.0 * float(without.height.z_um.std())

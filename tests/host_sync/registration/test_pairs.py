@@ -41,6 +41,7 @@ def total(found: Counter[tuple[str, str]], outcome: str, names: Iterable[str] = 
     return sum(found[name, outcome] for name in names)
 
 
+@pytest.mark.slow
 def test_no_hand_like_shift_is_wrongly_accepted() -> None:
     found = tally(hand_pairs(10, seed=7))
     assert total(found, "wrong") == 0

@@ -36,7 +36,7 @@ def test_a_test_that_hangs_is_named_once_and_the_rest_runs_and_nothing_is_left(t
         (tmp_path / name).write_text("import pytest\n\n@pytest.mark.parametrize('n', range(4))\ndef test(n): pass\n")
     (tmp_path / "test_hanging.py").write_text(HANGS)
     (tmp_path / "pytest.ini").write_text("[pytest]\nfaulthandler_timeout = 1\nfaulthandler_exit_on_timeout = true\n")
-    options = ["-p", "tests.apparatus.lost_workers", "-n", "2", "--dist", "loadfile", "-rf"]
+    options = ["-p", "tests.apparatus.workers", "-n", "2", "--dist", "loadfile", "-rf"]
     ran = subprocess.run(  # until nobody holds its output open
         [sys.executable, "-m", "pytest", *options, "-c", tmp_path / "pytest.ini", tmp_path],
         cwd=Path(__file__).parents[1],

@@ -1,4 +1,8 @@
-"""Hooks of pytest for workers that end because a test hangs: it runs once, and nothing outlives the run."""
+"""Hooks of pytest for several worker processes.
+
+The first takes files from the front, others from the end: neighbouring files share calibrations and kernels, which two
+processes would compile at the same time. A test that hangs runs once, and nothing outlives the run.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,20 @@ from pathlib import Path
 import pytest
 
 PR_SET_CHILD_SUBREAPER = 36
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log):  # type: ignore[no-untyped-def]
+    """Return the scheduler of `--dist loadfile`, whose workers begin at both ends of the list of files."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class FromBothEnds(LoadFileScheduling):
+        def _assign_work_unit(self, node) -> None:  # type: ignore[no-untyped-def]
+            if node.gateway.id != "gw0":
+                self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+            super()._assign_work_unit(node)
+
+    return FromBothEnds(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 def pytest_configure(config: pytest.Config) -> None:
