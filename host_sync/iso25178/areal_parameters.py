@@ -1,4 +1,4 @@
-"""Height parameters (Sa, Sq, Sp, Sv, Sz, Ssk, Sku) and hybrid parameters (Sdq, Sdr) of ISO 25178-2.
+"""Height, hybrid, functional and spatial parameters of ISO 25178-2; the tables of their kinds stand at the end.
 
 Heights count from the mean of the valid pixels. The standard leaves the derivative open: Sdq takes differences of
 neighbouring pixels, each direction over the pairs of which both are valid, because a central difference would miss what
@@ -351,36 +351,37 @@ class ParameterKind:
 
     unit : empty for a pure number
     stretch_power : exponent of its dependence on lateral lengths
+    is_amplitude : noise raises it as it raises an amplitude, and is taken off
+    is_shape : without an L-filter, waviness dominates it; slopes determine that least and the samples do not contain
+        its error, so that no uncertainty is stated
     """
 
     unit: str
     stretch_power: float = 0.0
+    is_amplitude: bool = False
+    is_shape: bool = False
 
 
-_UM: Final = ParameterKind("µm")
+AMPLITUDE: Final = ParameterKind("µm", is_amplitude=True)
+SLOPE: Final = ParameterKind("µm/µm", -1.0, is_amplitude=True)
 _NUMBER: Final = ParameterKind("")
-_PERCENT: Final = ParameterKind("%")
+_SHAPE: Final = ParameterKind("", is_shape=True)
 _PER_AREA: Final = ParameterKind("µm³/µm²")
 
-HEIGHT: Final = {"Sa": _UM, "Sq": _UM, "Sp": _UM, "Sv": _UM, "Sz": _UM, "Ssk": _NUMBER, "Sku": _NUMBER}
-HYBRID: Final = {"Sdq": ParameterKind("µm/µm", -1.0), "Sdr": ParameterKind("%", -2.0)}
-SPATIAL: Final = {"Sal": ParameterKind("µm", 1.0), "Str": _NUMBER, "Std": ParameterKind("°")}
+HEIGHT: Final = dict.fromkeys(("Sa", "Sq", "Sp", "Sv", "Sz"), AMPLITUDE) | {"Ssk": _SHAPE, "Sku": _NUMBER}
+HYBRID: Final = {"Sdq": SLOPE, "Sdr": ParameterKind("%", -2.0, is_amplitude=True)}
+SPATIAL: Final = {"Sal": ParameterKind("µm", 1.0), "Str": _SHAPE, "Std": ParameterKind("°")}
 FUNCTIONAL: Final = {
-    "Sk": _UM,
-    "Spk": _UM,
-    "Svk": _UM,
-    "Smr1": _PERCENT,
-    "Smr2": _PERCENT,
-    "Sxp": _UM,
+    "Sk": AMPLITUDE,
+    "Spk": ParameterKind("µm", is_amplitude=True, is_shape=True),
+    "Svk": AMPLITUDE,
+    "Smr1": ParameterKind("%", is_shape=True),
+    "Smr2": ParameterKind("%"),
+    "Sxp": AMPLITUDE,
     "Vmp": _PER_AREA,
     "Vmc": _PER_AREA,
     "Vvc": _PER_AREA,
     "Vvv": _PER_AREA,
 }
-SHAPE: Final = frozenset({"Ssk", "Spk", "Smr1", "Str"})
-"""Parameters of shape. Without an L-filter, waviness dominates them; slopes determine it least and the samples do not
-contain
-its error, so no uncertainty is stated."""
-
 GROUPS: Final = {"height": HEIGHT, "hybrid": HYBRID, "spatial": SPATIAL, "functional": FUNCTIONAL}
 AREAL: Final = HEIGHT | HYBRID | SPATIAL | FUNCTIONAL

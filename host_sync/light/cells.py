@@ -54,10 +54,10 @@ REST_INFORMATION: Final = 100.0
 """Weight of a slope of skin at rest in the integration, relative to that of others."""
 
 IN_SHADOW: Final = 0.3
-"""Hidden fraction of a channel's light from which a cell lies in shadow."""
+"""Hidden fraction of a channel's light from which a cell lies wholly in shadow; below it, in proportion."""
 
 SHADOW_WEIGHT: Final = 0.3
-"""Weight of slopes in shadow in the integration, relative to that of others."""
+"""Weight of slopes in shadow relative to that of others, in the heights between steps and in the final integration."""
 
 
 @dataclass(frozen=True, eq=False)

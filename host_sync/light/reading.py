@@ -103,7 +103,6 @@ def correct_slopes(
         unsure * q_change,
         shadow,
         cell,
-        SHADOW_WEIGHT,
         partial(_deviations, cells, found, light, raised),
         (~faithful).astype(np.float32).reshape(size),
         has_rest=raised is None,
@@ -332,7 +331,6 @@ class CellCorrection:
     sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
     shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
     cell : pixels along a cell
-    weight : of slopes in shadow in the integration, as a share of that of others
     unsure : gives float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a variance, each
         wrong all at once; called once, in the background; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
@@ -346,14 +344,13 @@ class CellCorrection:
     sigma_q: Float32Array
     shadow: Float32Array
     cell: int
-    weight: float
     unsure: Callable[[], SlopePair] | None = None
     left_alone: Float32Array | None = None
     has_rest: bool = True
 
     def apply(self, gradients: GradientField) -> None:
         """Write corrected slopes and weights over those of a gradient field (H, W)."""
-        less = np.float32(self.weight - 1.0) * self.shadow
+        less = np.float32(SHADOW_WEIGHT - 1.0) * self.shadow
         planes = bordered(np.stack([self.p, self.q, less]))
         parallel_rows(_apply, gradients.p.shape, planes, self.cell, gradients.p, gradients.q, gradients.weight)
 
@@ -365,7 +362,7 @@ class CellCorrection:
 
 @njit(cache=True, nogil=True)
 def _apply(planes: Any, cell: int, p: Any, q: Any, weight: Any, first: int, last: int) -> None:
-    """Add the first two planes of cells to slopes, and the third's share of the weight to it, in rows."""
+    """Add the first two planes of cells to slopes, and the third times the weight to it, in rows."""
     upper, step = np.empty((len(planes), p.shape[1]), np.float32), np.empty((len(planes), p.shape[1]), np.float32)
     expanded = -1
     for r in range(first, last):

@@ -22,7 +22,6 @@ from host_sync.iso25178.areal_parameters import (
     AREAL,
     AREAL_SUBJECT,
     GROUPS,
-    SHAPE,
     Autocorrelation,
     Decay,
     MaterialRatioCurve,
@@ -164,7 +163,8 @@ class ArealMeasurand:
     @property
     def without_sigma(self) -> frozenset[str]:
         """Parameters whose uncertainty the samples do not give."""
-        return frozenset() if self._recipe.l_filter_um is not None else SHAPE
+        shapes = (name for name, kind in AREAL.items() if kind.is_shape)
+        return frozenset() if self._recipe.l_filter_um is not None else frozenset(shapes)
 
     def surface(self, z_um: Float32Array) -> HeightMap:
         """Return the scale-limited surface of a height map of shape (H, W)."""

@@ -57,10 +57,6 @@ NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: 
 
 BEYOND: Final = "reaches beyond the field: only the part inside is measured"
 
-AMPLITUDES: Final = frozenset({"Sa", "Sq", "Sp", "Sv", "Sz", "Sdq", "Sdr", "Sk", "Spk", "Svk", "Sxp"})
-PROFILE_AMPLITUDES: Final = frozenset({"a", "q", "z", "p", "v", "t", "dq"})
-"""Parameters that noise raises as it raises an amplitude; of profiles, behind the first letter."""
-
 NOISE_SHARE_UNSURE: Final = 0.2
 """Share of what noise has raised a number by that is not sure: a tenth of the noise."""
 
@@ -293,8 +289,8 @@ def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float3
     if not looks:
         return ()
     raised = []
-    for index, numbers in enumerate(found.numbers[: len(looks[0])]):
-        names = [name for name in numbers if name in AMPLITUDES or name[1:] in PROFILE_AMPLITUDES]
+    for index, (numbers, measurand) in enumerate(zip(found.numbers[: len(looks[0])], plan.measurands, strict=False)):
+        names = [name for name, kind in measurand.kinds().items() if kind.is_amplitude]
         more = {name: float(np.mean([look[index][name] for look in looks])) - numbers[name] for name in names}
         raised.append({name: noise_bias(numbers[name], step) for name, step in more.items() if step > 0.0})
     return raised

@@ -11,17 +11,16 @@ from device.quick_look.measures import MIN_CUTOFF_PX, ROUNDING
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.filters.gaussian_regression import profile_mean
-from host_sync.iso25178.areal_parameters import ParameterKind
+from host_sync.iso25178.areal_parameters import AMPLITUDE, SLOPE, ParameterKind
 from host_sync.measurement.geometry import line_places
 from host_sync.measurement.recipe import ProfileTable
 from host_sync.profile.profile_line import Line, Profile, profile_along, profile_parameters
 
-_UM: Final = ParameterKind("µm")
 _NUMBER: Final = ParameterKind("")
-_KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), _UM) | {
+_KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), AMPLITUDE) | {
     "sk": _NUMBER,
     "ku": _NUMBER,
-    "dq": ParameterKind("µm/µm", -1.0),
+    "dq": SLOPE,
     "Sm": ParameterKind("µm", 1.0),
 }
 

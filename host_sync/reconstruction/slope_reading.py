@@ -67,7 +67,7 @@ class ChannelReading:
     raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
     gradients : slopes of `intensity`, corrected
     correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method and
-        where no sources explain the balls
+        where held-out balls do not confirm the model
     meanwhile : found while the correction was looked for
     rest : where the light is that of skin at rest; None without a reference
     """

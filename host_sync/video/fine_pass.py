@@ -216,9 +216,9 @@ class CoarseReading:
     """Slopes of a coarse frame and what they gained: arrays of shape (h, w).
 
     gradients : corrected slopes and their weights, skin at rest included
-    gain_p, gain_q, weight : what slopes gained, and by which factor their weight changed; None where nothing did
+    gain_p, gain_q, weight : what slopes gained, and by which factor their weight changed
     prior : of skin at rest; None without
-    correction : of hidden or known lights, or a quadric; None without
+    correction : of the light model; None without a confirmed one
     """
 
     gradients: GradientField

@@ -15,6 +15,7 @@ import numpy as np
 
 from host_sync.filters.form import PolynomialForm
 from host_sync.iso25178.areal_parameters import (
+    FUNCTIONAL,
     Autocorrelation,
     decay,
     functional_parameters,
@@ -25,7 +26,7 @@ from tests.benchmarks.measurement.gwyddion_oracle import Gwyddion
 from tests.benchmarks.measurement.surfaces import PITCH_UM, FloatArray, surfaces, torn
 
 HEIGHTS: Final = ("Sa", "Sq", "Sp", "Sv", "Sz", "Ssk", "Sku", "Sdq", "Sdr", "Sal", "Str")
-FUNCTIONS: Final = ("Sk", "Spk", "Svk", "Smr1", "Smr2", "Vmp", "Vmc", "Vvc", "Vvv", "Sxp")
+FUNCTIONS: Final = tuple(FUNCTIONAL)
 HEAD: Final = ("surface", "parameter", "ours", "surfalize", "difference", "Gwyddion", "difference")
 
 

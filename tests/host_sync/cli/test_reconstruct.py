@@ -29,6 +29,7 @@ from hal.interfaces import LiftOff, OperatorRequest, PressBall, PressObject
 from hal.simulator.bench import TwinTruth, build
 from hal.simulator.hardware import twin_hardware
 from host_sync.batch.library_batch import ScanOutcome
+from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
 from host_sync.cli.reconstruct import print_outcomes
 from host_sync.cli.verify import reproduce_results
@@ -360,6 +361,7 @@ def test_from_card_to_library_to_results(
 
 def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
     calibrated_root: Path,
+    calibrator: Calibrator,
     small_twin: BoardProfile,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -371,7 +373,7 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
         hardware.operator.ask(PressObject("coin"))
         hardware.button.wait_for_press(None)
         scan = scanner.scan(Annotations()).bundle
-    job = LibraryReconstructor(Library(root))
+    job = LibraryReconstructor(Library(root), calibrator=calibrator)
     _, folder = job.run(scan)
     assert run(lambda: reproduce_results(Library(root), job=job)) == 0
     assert "1 identical, 0 not as expected" in capsys.readouterr().out

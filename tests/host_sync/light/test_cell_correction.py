@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from device.surface.fields import GradientField
+from host_sync.light.cells import SHADOW_WEIGHT
 from host_sync.light.reading import CellCorrection
 
 CELL = 4
@@ -16,7 +17,7 @@ def correction() -> CellCorrection:
     shadow = np.zeros(SIZE, np.float32)
     shadow[:, :10] = 1.0
     nothing = np.zeros(SIZE, np.float32)
-    return CellCorrection(nothing, nothing, nothing, nothing, shadow, CELL, 0.3)
+    return CellCorrection(nothing, nothing, nothing, nothing, shadow, CELL)
 
 
 def field() -> GradientField:
@@ -31,7 +32,7 @@ def test_pixels_gain_what_cells_gain_and_run_straight_between_them() -> None:
     p, q = (np.float32(0.001) * (by_row * row[:, None] + by_column * column) for by_row, by_column in ((1, 2), (-3, 1)))
     nothing = np.zeros(SIZE, np.float32)
     found = field()
-    CellCorrection(p.astype(np.float32), q.astype(np.float32), nothing, nothing, nothing, CELL, 0.3).apply(found)
+    CellCorrection(p.astype(np.float32), q.astype(np.float32), nothing, nothing, nothing, CELL).apply(found)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     inner = slice(CELL, -CELL), slice(CELL, -CELL)
     np.testing.assert_allclose(found.p[inner], 0.001 * (rows + 2 * columns)[inner], atol=1e-6)
@@ -43,5 +44,5 @@ def test_weights_are_smaller_in_shadow() -> None:
     taken, before = field(), field()
     correction().apply(taken)
     assert taken.weight[:, :20].max() < 0.25
-    np.testing.assert_allclose(taken.weight[:, :36], 0.3 * before.weight[:, :36], rtol=1e-5)
+    np.testing.assert_allclose(taken.weight[:, :36], SHADOW_WEIGHT * before.weight[:, :36], rtol=1e-5)
     np.testing.assert_array_equal(taken.weight[:, 44:], before.weight[:, 44:])

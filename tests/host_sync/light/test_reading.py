@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
+from host_sync.light.cells import SHADOW_WEIGHT
 from host_sync.light.reading import CellCorrection, correct_slopes
 from host_sync.uncertainty.elevation import ElevationCorrection
+from host_sync.video.fine_pass import read_coarse
 
 LAMP_PX = 180.0
 LAMPS = NearLamps(LAMP_PX)
@@ -137,6 +140,20 @@ def test_skin_in_shadow_follows_from_the_lamps_that_reach_it(flank: float, has_r
     sigma_p, _ = found.sigma((SHAPE[1], SHAPE[0]))
     assert np.abs(sigma_p[dark]).mean() > 10.0 * np.abs(sigma_p[~dark]).mean()
     assert after.weight[dark].mean() < 0.8 * after.weight[~dark].mean()
+
+
+def test_a_pixel_that_a_light_does_not_reach_weighs_as_little_alone_as_in_a_video() -> None:
+    z = cone(0.8)
+    q, p = np.gradient(z)
+    image, lit = shadowed(z)
+    _, alone = corrected(field(p, q), image)
+    slopes = SimpleNamespace(evaluate=lambda *_: field(p, q))
+    known = SimpleNamespace(light=LIGHT, prior_sigma=PRIOR_SIGMA, elevation=BALLS)
+    video = read_coarse(image, None, known, "direct", slopes, is_whole=True).gradients  # type: ignore[arg-type]
+    np.testing.assert_array_equal(video.weight, alone.weight)
+    assert alone.weight.min() == pytest.approx(SHADOW_WEIGHT, abs=1e-6)
+    assert np.quantile(alone.weight[~lit.all(axis=-1)], 0.25) == pytest.approx(SHADOW_WEIGHT, abs=1e-6)
+    assert np.median(alone.weight[lit.all(axis=-1)]) == 1.0
 
 
 def test_frames_of_single_lights_show_where_one_does_not_arrive() -> None:
