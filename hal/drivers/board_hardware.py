@@ -80,8 +80,8 @@ def board_hardware(
 def _led_chip(config: LightDriverConfig, machine: Machine, clock: Clock) -> LedChip:
     what = f"light driver {config.chip}"
     chip = I2cChip(machine.open_bus, config.bus, config.address, what, LightError, clock)
-    kind = Pca9955b if config.chip == "PCA9955B" else Tlc59116
-    return kind(chip, config.reference_ohm)
+    drivers: dict[str, Callable[[I2cChip, float], LedChip]] = {"PCA9955B": Pca9955b, "TLC59116": Tlc59116}
+    return drivers[config.chip](chip, config.reference_ohm)
 
 
 def _gate(config: LightDriverConfig, chip_label: str, machine: Machine) -> LightGate:

@@ -276,7 +276,7 @@ def _mirroring(open_bus: OpenBus, config: LightDriverConfig, model: LedDriverMod
 
 def led_model(chip: str, reference_ohm: float) -> LedDriverModel:
     """Register model of that chip with that resistor at REXT, in its power-on state."""
-    return (Pca9955bModel if chip == "PCA9955B" else Tlc59116Model)(reference_ohm)
+    return {"PCA9955B": Pca9955bModel, "TLC59116": Tlc59116Model}[chip](reference_ohm)
 
 
 def lighting(world: SimulatedScene, leds: LedDriverModel) -> Callable[[], None]:
