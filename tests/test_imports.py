@@ -14,6 +14,7 @@ PORTABLE_ROOMS = (
     "device.io",
     "device.surface",
     "device.imaging",
+    "device.align",
     "device.inverse_map",
     "device.balls",
     "device.calibration",

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from device.align.pose import turning
 from device.guidance.placement import Placement, Target, Unplaced, way_words
 from device.surface.fields import Float64Array, HeightMap, MaskArray
 
@@ -162,14 +163,14 @@ class Stand:
     def of_press(self, placed: Placement) -> Stand:
         """Return where a press stood whose way to here is `placed`."""
         turn_deg = self.clockwise_deg - placed.clockwise_deg
-        right, down = _turned(np.array([placed.right_mm, placed.down_mm]), turn_deg).tolist()
-        return Stand(self.right_mm - right, self.down_mm - down, turn_deg, placed.overlap)
+        right, down = (placed.right_mm, placed.down_mm) @ turning(np.radians(turn_deg))
+        return Stand(float(self.right_mm - right), float(self.down_mm - down), turn_deg, placed.overlap)
 
     def way_to(self, place_mm: tuple[float, float]) -> tuple[float, float]:
         """Return the way to a place, mm to the right and down in the live view of this press."""
-        way = np.array([place_mm[0] - self.right_mm, place_mm[1] - self.down_mm])
-        right, down = _turned(way, -self.clockwise_deg).tolist()
-        return right, down
+        way = place_mm[0] - self.right_mm, place_mm[1] - self.down_mm
+        right, down = way @ turning(-np.radians(self.clockwise_deg))
+        return float(right), float(down)
 
 
 class Covering:
@@ -248,7 +249,8 @@ class Covering:
     def _add(self, height: HeightMap, stand: Stand) -> Stand:
         self._targets.append(Target(height))
         self.stands.append(stand)
-        offset = np.abs(_turned(self._cells - (stand.right_mm, stand.down_mm), -stand.clockwise_deg))
+        way = self._cells - (stand.right_mm, stand.down_mm)
+        offset = np.abs(way @ turning(-np.radians(stand.clockwise_deg)))
         self.covered |= (offset[..., 0] <= 0.5 * self.field_mm[0]) & (offset[..., 1] <= 0.5 * self.field_mm[1])
         return stand
 
@@ -268,10 +270,3 @@ class Covering:
         """Return fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
         apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
         return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))
-
-
-def _turned(ways: Float64Array, clockwise_deg: float) -> Float64Array:
-    """Return ways (..., 2), right and down, in the view from which theirs is turned clockwise."""
-    cosine, sine = float(np.cos(np.radians(clockwise_deg))), float(np.sin(np.radians(clockwise_deg)))
-    right, down = ways[..., 0], ways[..., 1]
-    return np.stack([cosine * right - sine * down, sine * right + cosine * down], axis=-1)

@@ -7,26 +7,23 @@ silent costs a touch, guidance that points away costs trust. The workstation reg
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from device.align.pose import Pose
+from device.align.search import Complex, PlaceSearch, is_apart, relief_slopes, seen_at
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import QuickLookModel, quick_look
-from device.surface.fields import Float32Array, HeightMap
+from device.surface.fields import HeightMap
 from hal.frame import RawFrame
 
 COARSE_PX: Final = 96
 """Columns of the reduced slopes."""
 
 TURNS_DEG: Final = tuple(range(-30, 31, 3))
-SMOOTHED_PX: Final = 0.7
-LONG_WAVE_PX: Final = 6.0
-"""Slopes are taken from their mean over about this, reduced pixels: tilt and bow of a press are no place."""
-
 MIN_SLOPE: Final = 0.004
 """Least root mean square of the reduced slopes, µm/µm: below it the skin shows the calibration's errors."""
 
@@ -43,19 +40,12 @@ MIN_AGREEMENT: Final = 0.6
 NEXT_BEST: Final = 0.75
 """A place elsewhere whose peak is higher than this fraction of the best one's makes the answer unknown."""
 
-APART_PX: Final = 3.5
-APART_DEG: Final = 8.0
-"""Places closer than both are one."""
-
 VERIFIED: Final = 6
-_NEAR: Final = 3
 _FIRST_STEP_DEG: Final = 1.5
 _ROUNDS: Final = 3
 _SIGMA_PX: Final = 0.25
 _SIGMA_DEG: Final = 0.4
 """Stated uncertainties: about twice the errors of simulated touches (`tests/device/guidance/test_placement.py`)."""
-
-Complex = NDArray[np.complex64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +81,13 @@ class Unplaced:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """A shift (reduced pixels, in the turned live view) and a turn (rad) with rank, agreement and overlap."""
+class _Judged:
+    """A pose (reduced pixels) with rank, agreement and overlap."""
 
-    right: float
-    down: float
-    turn: float
+    pose: Pose
     rank: float
-    agreement: float = 0.0
-    overlap: float = 0.0
+    agreement: float
+    overlap: float
 
 
 class Target:
@@ -107,193 +95,82 @@ class Target:
 
     def __init__(self, height: HeightMap) -> None:
         self._pitch_um = height.z_um.shape[1] * height.pitch_um / COARSE_PX
-        self._slopes, self._relief = _slopes(height, self._pitch_um)
-        rows, columns = self._slopes.shape
-        self._size = cv2.getOptimalDFTSize(2 * rows), cv2.getOptimalDFTSize(2 * columns)
-        self._spectrum = np.conj(np.fft.fft2(self._slopes, self._size))
-        down, right = (np.minimum(np.arange(size), size - np.arange(size)) for size in self._size)
-        area = np.maximum(rows - down, 0)[:, None] * np.maximum(columns - right, 0)[None, :]
-        enough = area >= MIN_OVERLAP * rows * columns
-        self._inverse_noise = np.where(enough, 1.0 / np.sqrt(np.maximum(area, 1)), 0.0).astype(np.float32)
+        self._slopes, self._relief = self._reduced(height)
+        self._search = PlaceSearch(self._slopes.shape, TURNS_DEG, MIN_OVERLAP)
+        self._spectrum = self._search.first(self._slopes)
 
     def place(self, live: HeightMap) -> Placement | Unplaced:
         """Return the way from where `live` was taken to this press."""
-        slopes, relief = _slopes(live, self._pitch_um)
+        slopes, relief = self._reduced(live)
         if min(relief, self._relief) < MIN_SLOPE:
             return Unplaced("too little relief to know where this is: press a little deeper")
-        rows, columns = self._slopes.shape
-        slopes = _fitted(slopes, (rows, columns))
-        found = self._verified(slopes)
+        places = self._search.places(self._spectrum, self._search.second(slopes), VERIFIED)
+        found = sorted((self._judged(place.pose, slopes) for place in places), key=lambda one: -one.rank)
         best = self._refined(found[0], slopes)
         if best.rank < MIN_RANK or best.agreement < MIN_AGREEMENT:
             return Unplaced("not recognised: touch nearer to the earlier place")
-        if any(_apart(found[0], one) and one.rank > NEXT_BEST * found[0].rank for one in found[1:]):
+        if any(is_apart(found[0].pose, one.pose) and one.rank > NEXT_BEST * found[0].rank for one in found[1:]):
             return Unplaced("the relief looks alike at several places: touch where it is more distinct")
-        cosine, sine = np.cos(best.turn), np.sin(best.turn)
         mm = 1e-3 * self._pitch_um
-        # A shift in the turned view is one of the live view, turned.
         return Placement(
-            right_mm=float(cosine * best.right - sine * best.down) * mm,
-            down_mm=float(sine * best.right + cosine * best.down) * mm,
-            clockwise_deg=float(np.degrees(best.turn)),
+            right_mm=best.pose.right * mm,
+            down_mm=best.pose.down * mm,
+            clockwise_deg=float(np.degrees(best.pose.turn)),
             shift_sigma_mm=_SIGMA_PX * mm,
             turn_sigma_deg=_SIGMA_DEG,
             overlap=best.overlap,
             peak_to_noise=best.rank,
         )
 
-    def _verified(self, slopes: Complex) -> list[_Place]:
-        """Return the best places over all turns, judged over their true overlap, best first."""
-        peaks: list[_Place] = []
-        for turn in np.radians(TURNS_DEG):
-            turned, _ = _turned(slopes, float(turn))
-            score = np.fft.ifft2(self._spectrum * np.fft.fft2(turned, self._size)).real * self._inverse_noise
-            for _ in range(2):
-                down, right = (int(at) for at in np.unravel_index(int(np.argmax(score)), score.shape))
-                value = float(score[down, right])
-                peaks.append(_Place(_signed(right, self._size[1]), _signed(down, self._size[0]), float(turn), value))
-                rows, columns = (
-                    np.arange(at - _NEAR, at + _NEAR + 1) % size
-                    for at, size in zip((down, right), self._size, strict=True)
-                )
-                score[np.ix_(rows, columns)] = 0.0
-        peaks.sort(key=lambda one: -one.rank)
-        distinct: list[_Place] = []
-        for peak in peaks:
-            if all(_apart(peak, one) for one in distinct):
-                distinct.append(peak)
-            if len(distinct) == VERIFIED:
-                break
-        return sorted((self._judged(one, *_turned(slopes, one.turn)) for one in distinct), key=lambda one: -one.rank)
+    def _reduced(self, height: HeightMap) -> tuple[Complex, float]:
+        """Return the slopes of a quick look at the reduced pitch, and their root mean square, µm/µm."""
+        rows, columns = (max(4, round(size * height.pitch_um / self._pitch_um)) for size in height.z_um.shape)
+        small = cv2.resize(height.z_um, (columns, rows), interpolation=cv2.INTER_AREA)
+        slopes, relief = relief_slopes(np.asarray(small, np.float32))
+        return slopes, relief / self._pitch_um
 
-    def _judged(self, place: _Place, turned: Complex, inside: Float32Array) -> _Place:
-        """Return a place with whole-pixel shift and its rank, agreement and overlap over what both see there."""
-        right, down = round(place.right), round(place.down)
-        rows, columns = self._slopes.shape
-        here = slice(max(0, -down), min(rows, rows - down)), slice(max(0, -right), min(columns, columns - right))
-        there = slice(max(0, down), min(rows, rows + down)), slice(max(0, right), min(columns, columns + right))
-        seen = inside[there] > 0.0
-        one, other = self._slopes[here] * seen, turned[there]
+    def _judged(self, pose: Pose, slopes: Complex) -> _Judged:
+        """Return a pose with its rank, agreement and overlap over what both see there."""
+        other, seen = seen_at(slopes, pose, self._slopes.shape)
+        one = self._slopes * seen
         product = float(np.vdot(one, other).real)
-        energy = float(np.sqrt(np.vdot(one, one).real * np.vdot(other, other).real))
+        energy = float(np.sqrt(np.vdot(one, one).real * np.vdot(other, other).real)) or 1.0
         # Of slopes without anything in common, the sum over n pixels has half the mean product, root n times.
         noise = float(np.sqrt(0.5 * np.vdot(np.abs(one) ** 2, np.abs(other) ** 2))) or 1.0
-        return _Place(
-            right,
-            down,
-            place.turn,
-            product / noise,
-            product / energy if energy > 0.0 else 0.0,
-            float(np.count_nonzero(seen)) / (rows * columns),
-        )
+        return _Judged(pose, product / noise, product / energy, float(seen.mean()))
 
-    def _refined(self, place: _Place, slopes: Complex) -> _Place:
+    def _refined(self, place: _Judged, slopes: Complex) -> _Judged:
         """Return the place by parabolas through the agreement around it, over shift and turn."""
         step = float(np.radians(_FIRST_STEP_DEG))
         for _ in range(_ROUNDS):
-            tried = []
-            for turn in (place.turn - step, place.turn, place.turn + step):
-                turned, inside = _turned(slopes, turn)
-                around = [
-                    self._judged(_Place(place.right + right, place.down + down, turn, 0.0), turned, inside)
-                    for down in (-1, 0, 1)
-                    for right in (-1, 0, 1)
-                ]
-                tried.append(max(around, key=lambda one: one.agreement))
-            best = max(range(3), key=lambda at: tried[at].agreement)
+            tried = [
+                max(
+                    (
+                        self._judged(place.pose.moved_by(down, right, turn), slopes)
+                        for down in (-1, 0, 1)
+                        for right in (-1, 0, 1)
+                    ),
+                    key=lambda one: one.agreement,
+                )
+                for turn in (-step, 0.0, step)
+            ]
+            best = int(np.argmax([one.agreement for one in tried]))
+            place = tried[best]
             if best == 1:
-                offset = _vertex(tried[0].agreement, tried[1].agreement, tried[2].agreement)
-                place = _with(tried[1], turn=tried[1].turn + offset * step)
+                place = replace(place, pose=place.pose.moved_by(0.0, 0.0, step * _vertex(tried)))
                 step *= 0.5
-            else:
-                place = tried[best]
-        turned, inside = _turned(slopes, place.turn)
-
-        def agreement(right: int, down: int) -> float:
-            there = _Place(round(place.right) + right, round(place.down) + down, place.turn, 0.0)
-            return self._judged(there, turned, inside).agreement
-
-        middle = agreement(0, 0)
-        return _with(
-            place,
-            right=round(place.right) + _vertex(agreement(-1, 0), middle, agreement(1, 0)),
-            down=round(place.down) + _vertex(agreement(0, -1), middle, agreement(0, 1)),
+        down, right = (
+            _vertex([self._judged(place.pose.moved_by(at * axis, at * (1 - axis)), slopes) for at in (-1, 0, 1)])
+            for axis in (1, 0)
         )
+        return replace(place, pose=place.pose.moved_by(down, right))
 
 
-def _with(place: _Place, right: float | None = None, down: float | None = None, turn: float | None = None) -> _Place:
-    return _Place(
-        place.right if right is None else right,
-        place.down if down is None else down,
-        place.turn if turn is None else turn,
-        place.rank,
-        place.agreement,
-        place.overlap,
-    )
-
-
-def _vertex(before: float, middle: float, after: float) -> float:
-    """Return where a parabola through values at -1, 0, 1 is highest, within ±0.5."""
+def _vertex(places: list[_Judged]) -> float:
+    """Return where a parabola through the agreement at -1, 0, 1 is highest, within ±0.5."""
+    before, middle, after = (place.agreement for place in places)
     bend = before - 2.0 * middle + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
-
-
-def _signed(at: int, size: int) -> int:
-    return at - size if at > size // 2 else at
-
-
-def _apart(one: _Place, other: _Place) -> bool:
-    """Return whether two places are two."""
-    away = float(np.hypot(one.right - other.right, one.down - other.down))
-    return away > APART_PX or abs(one.turn - other.turn) > np.radians(APART_DEG)
-
-
-def _turned(slopes: Complex, turn: float) -> tuple[Complex, Float32Array]:
-    """Return slopes of a view turned back by `turn` about its middle, and where they are known: arrays (h, w)."""
-    rows, columns = slopes.shape
-    cosine, sine = float(np.cos(turn)), float(np.sin(turn))
-    middle = 0.5 * (columns - 1), 0.5 * (rows - 1)
-    matrix = np.array(
-        [
-            [cosine, -sine, middle[0] - cosine * middle[0] + sine * middle[1]],
-            [sine, cosine, middle[1] - sine * middle[0] - cosine * middle[1]],
-        ]
-    )
-    planes = np.dstack([slopes.real, slopes.imag, np.ones(slopes.shape, np.float32)])
-    moved = cv2.warpAffine(planes, matrix, (columns, rows), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    inside = np.asarray(moved[..., 2] > 0.99, np.float32)
-    back = np.complex64(np.exp(-1j * turn))
-    return np.asarray((moved[..., 0] + 1j * moved[..., 1]) * back * inside, np.complex64), inside
-
-
-def _fitted(slopes: Complex, shape: tuple[int, int]) -> Complex:
-    """Return the slopes cut or padded with 0 about their middle to a shape."""
-    if slopes.shape == shape:
-        return slopes
-    fitted = np.zeros(shape, np.complex64)
-    sides = []
-    for have, want in zip(slopes.shape, shape, strict=True):
-        both = min(have, want)
-        sides.append((slice((have - both) // 2, (have + both) // 2), slice((want - both) // 2, (want + both) // 2)))
-    fitted[sides[0][1], sides[1][1]] = slopes[sides[0][0], sides[1][0]]
-    return fitted
-
-
-def _slopes(height: HeightMap, pitch_um: float) -> tuple[Complex, float]:
-    """p + iq without long waves, of mean square 1, clipped, 0 where invalid, and their root mean square, µm/µm."""
-    scale = height.pitch_um / pitch_um
-    rows, columns = (max(4, round(size * scale)) for size in height.z_um.shape)
-    small = cv2.resize(height.z_um, (columns, rows), interpolation=cv2.INTER_AREA)
-    q, p = np.gradient(cv2.GaussianBlur(small, (0, 0), SMOOTHED_PX) / np.float32(pitch_um))
-    slopes = np.asarray(p + 1j * q, np.complex64)
-    known = np.isfinite(slopes)
-    slopes = np.where(known, slopes, np.complex64(0.0))
-    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), LONG_WAVE_PX) + np.float32(1e-6)
-    wave = [cv2.GaussianBlur(part, (0, 0), LONG_WAVE_PX) / share for part in (slopes.real, slopes.imag)]
-    slopes = np.where(known, slopes - (wave[0] + 1j * wave[1]), np.complex64(0.0)).astype(np.complex64)
-    size = np.abs(slopes)
-    mean = float(np.sqrt(np.mean(size[known] ** 2))) if known.any() else 0.0
-    return np.asarray(slopes / np.maximum(size, max(mean, 1e-12)), np.complex64), mean
 
 
 SPOT_MM: Final = 0.3

@@ -16,9 +16,9 @@ from typing import Final
 
 import numpy as np
 
+from device.align.pose import QUARTER, Pose, turning
 from device.surface.fields import Float64Array
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.overlaps import QUARTER, Motion, turning
 
 FLOOR_PX: Final = 0.3
 """What a link's place is uncertain by besides its own σ, px: gels are strained differently at each press."""
@@ -38,7 +38,7 @@ SETTLED_PX: Final = 1e-3
 class Adjusted:
     """Places of the presses.
 
-    places : of each press, its motion into the mosaic (px of a press); None where nothing links it to the others
+    places : of each press, its pose in the mosaic (px of a press); None where nothing links it to the others
     used : of each link, whether it took part
     loops : of each link, how many loops of three or four presses it closes
     residual_px : of each link, how far it is off; NaN where a press has no place
@@ -48,7 +48,7 @@ class Adjusted:
     root : the press that the others are relative to
     """
 
-    places: list[Motion | None]
+    places: list[Pose | None]
     used: list[bool]
     loops: list[int]
     residual_px: list[float]
@@ -107,7 +107,7 @@ def adjusted(links: list[Link], presses: int, reach_px: float) -> Adjusted:
     )
 
 
-def _near(links: list[Link], inside: list[int], places: dict[int, Motion], reach_px: float) -> list[int]:
+def _near(links: list[Link], inside: list[int], places: dict[int, Pose], reach_px: float) -> list[int]:
     """Return the links that roughly agree with first places: a tree adds up the errors of its links."""
     return [number for number in inside if _residual_px(links[number], places) <= 0.05 * reach_px]
 
@@ -120,9 +120,7 @@ def _one_a_pair(links: list[Link], fitting: set[int], off: dict[int, float]) -> 
     return set(best.values())
 
 
-def _connecting(
-    links: list[Link], wanted: set[int], before: set[int], root: int, places: dict[int, Motion]
-) -> set[int]:
+def _connecting(links: list[Link], wanted: set[int], before: set[int], root: int, places: dict[int, Pose]) -> set[int]:
     """Return the wanted links, and of those before them what still is needed to reach every press."""
     kept = set(wanted)
     while True:
@@ -146,7 +144,7 @@ def _weight(link: Link) -> Float64Array:
     return np.asarray(np.linalg.inv(covariance), np.float64)
 
 
-def _rest(link: Link, places: dict[int, Motion]) -> Float64Array:
+def _rest(link: Link, places: dict[int, Pose]) -> Float64Array:
     """Return what the link says less what the places say: (row, column) px, turn rad."""
     one, other = places[link.first], places[link.second]
     said = other.back().of(one.of(link.here))
@@ -155,13 +153,13 @@ def _rest(link: Link, places: dict[int, Motion]) -> Float64Array:
     return np.array([*(link.there - said), turn])
 
 
-def _residual_px(link: Link, places: dict[int, Motion]) -> float:
+def _residual_px(link: Link, places: dict[int, Pose]) -> float:
     if link.first not in places or link.second not in places:
         return float("nan")
     return float(np.hypot(*_rest(link, places)[:2]))
 
 
-def _sigmas(link: Link, places: dict[int, Motion]) -> float:
+def _sigmas(link: Link, places: dict[int, Pose]) -> float:
     if link.first not in places or link.second not in places:
         return float("nan")
     rest = _rest(link, places)
@@ -169,8 +167,8 @@ def _sigmas(link: Link, places: dict[int, Motion]) -> float:
 
 
 def _solved(
-    links: list[Link], used: list[int], places: dict[int, Motion], root: int
-) -> tuple[dict[int, Motion], Float64Array]:
+    links: list[Link], used: list[int], places: dict[int, Pose], root: int
+) -> tuple[dict[int, Pose], Float64Array]:
     """Return the least-squares places from those given, and their covariance in the order of the presses' numbers."""
     order = {press: number for number, press in enumerate(sorted(places))}
     count = 3 * len(order)
@@ -204,14 +202,7 @@ def _solved(
         inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
         change = np.zeros(count)
         change[free] = inverse @ right[free]
-        places = {
-            press: Motion(
-                motion.down + float(change[3 * order[press]]),
-                motion.right + float(change[3 * order[press] + 1]),
-                motion.turn + float(change[3 * order[press] + 2]),
-            )
-            for press, motion in places.items()
-        }
+        places = {press: pose.moved_by(*change[3 * order[press] :][:3]) for press, pose in places.items()}
         over = max(chi / max(3 * len(used) - free.size, 1), 1.0)
         covariance[np.ix_(free, free)] = inverse * over
         if float(np.abs(change).max()) < SETTLED_PX:
@@ -223,8 +214,8 @@ CLOSING_SIGMAS: Final = 5.0
 CLOSING_PX: Final = 6.0
 """A loop closes within so many px besides `CLOSING_SIGMAS` of its links: presses are strained a little."""
 
-Step = tuple[int, int, Motion, float]
-"""Number of the link, press it leads to, motion, variance of where it puts a middle (px²)."""
+Step = tuple[int, int, Pose, float]
+"""Number of the link, press it leads to, pose, variance of where it puts a middle (px²)."""
 
 
 def supports(links: list[Link], reach_px: float) -> list[int]:
@@ -235,30 +226,30 @@ def supports(links: list[Link], reach_px: float) -> list[int]:
     steps: dict[int, list[Step]] = defaultdict(list)
     for number, link in enumerate(links):
         variance = link.sigma_px**2 + (reach_px**2) * float(link.covariance[2, 2])
-        steps[link.first].append((number, link.second, link.motion, variance))
-        steps[link.second].append((number, link.first, link.motion.back(), variance))
+        steps[link.first].append((number, link.second, link.pose, variance))
+        steps[link.second].append((number, link.first, link.pose.back(), variance))
     counts = [0] * len(links)
     for start in sorted(steps):
-        ways: dict[int, list[tuple[tuple[int, ...], int, Motion, float]]] = defaultdict(list)
-        for number, end, motion, variance in steps[start]:
+        ways: dict[int, list[tuple[tuple[int, ...], int, Pose, float]]] = defaultdict(list)
+        for number, end, pose, variance in steps[start]:
             if end > start:
-                ways[end].append(((number,), -1, motion, variance))
+                ways[end].append(((number,), -1, pose, variance))
             for more, last, further, added in steps[end]:
                 if last > start and last != start:
-                    ways[last].append(((number, more), end, motion.then(further), variance + added))
+                    ways[last].append(((number, more), end, pose.then(further), variance + added))
         for found in ways.values():
             for one, other in itertools.combinations(found, 2):
                 if one[1] == other[1] or set(one[0]) & set(other[0]):
                     continue
                 limit = CLOSING_PX + CLOSING_SIGMAS * float(np.sqrt(one[3] + other[3]))
-                if one[2].distance_px(other[2], 0.5 * reach_px) <= limit:
+                if one[2].distance(other[2], 0.5 * reach_px) <= limit:
                     for number in (*one[0], *other[0]):
                         counts[number] += 1
     return counts
 
 
-def first_places(links: list[Link], counts: list[int], presses: int) -> tuple[dict[int, Motion], int]:
-    """Return motions of the presses of the largest linked group into the mosaic, and its root.
+def first_places(links: list[Link], counts: list[int], presses: int) -> tuple[dict[int, Pose], int]:
+    """Return poses of the presses of the largest linked group in the mosaic, and its root.
 
     The tree takes links in the order of the loops that they close, then of their strength.
     """
@@ -269,26 +260,26 @@ def first_places(links: list[Link], counts: list[int], presses: int) -> tuple[di
             press = group[press]
         return press
 
-    tree: dict[int, list[tuple[int, Motion]]] = defaultdict(list)
+    tree: dict[int, list[tuple[int, Pose]]] = defaultdict(list)
     order = sorted(range(len(links)), key=lambda number: (-min(counts[number], 3), -links[number].strength))
     for number in order:
         link = links[number]
         one, other = head(link.first), head(link.second)
         if one != other:
             group[other] = one
-            tree[link.first].append((link.second, link.motion))
-            tree[link.second].append((link.first, link.motion.back()))
+            tree[link.first].append((link.second, link.pose))
+            tree[link.second].append((link.first, link.pose.back()))
     heads = [head(press) for press in range(presses)]
     largest = max(set(heads), key=lambda one: (heads.count(one), -one))
     members = [press for press in range(presses) if heads[press] == largest]
     root = max(members, key=lambda press: (len(tree[press]), -press))
-    places = {root: Motion()}
+    places = {root: Pose()}
     waiting = [root]
     while waiting:
         press = waiting.pop()
-        for near, motion in tree[press]:
+        for near, pose in tree[press]:
             if near not in places:
-                # `motion` leads from the press to its neighbour, a place leads from a press to the mosaic.
-                places[near] = motion.back().then(places[press])
+                # `pose` leads from the press to its neighbour, a place leads from a press to the mosaic.
+                places[near] = pose.back().then(places[press])
                 waiting.append(near)
     return places, root

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.mosaic.levelling import Levels
-from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Fields, Press
-from host_sync.registration.poses import between_pixels, reduced
+from host_sync.registration.resampling import between_pixels, reduced
 from host_sync.results.field_file import MAX_PIXELS
 
 CHUNK: Final = 1 << 20
@@ -87,7 +87,7 @@ class Blend:
     covered: float
 
 
-def canvas_of(places: list[Motion], shapes: list[tuple[int, int]], max_pixels: int = MAX_PIXELS) -> Canvas:
+def canvas_of(places: list[Pose], shapes: list[tuple[int, int]], max_pixels: int = MAX_PIXELS) -> Canvas:
     """Return the grid that holds all presses, as fine as theirs where that is not too large.
 
     Raises
@@ -111,7 +111,7 @@ def _corners(shape: tuple[int, int]) -> Float64Array:
 
 def blend(
     presses: list[Press],
-    places: list[Motion],
+    places: list[Pose],
     levels: Levels,
     canvas: Canvas,
     folder: Path,
@@ -168,7 +168,7 @@ def blend(
 
 
 def _windows(
-    canvas: Canvas, place: Motion, shape: tuple[int, int]
+    canvas: Canvas, place: Pose, shape: tuple[int, int]
 ) -> Iterator[tuple[tuple[slice, slice], tuple[Float32Array, Float32Array]]]:
     """Yield parts of the canvas that a press covers, and the places of their pixels in the press.
 

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
+from device.align.pose import Pose
 from device.surface.fields import Float64Array
-from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Small
-from host_sync.registration.poses import Pose, moved
+from host_sync.registration.resampling import moved
 
 BLOCKS: Final = 24
 """Blocks along the longer side of a press whose median differences are compared."""
@@ -69,17 +69,13 @@ class Levels:
         )
 
 
-def meeting(presses: list[Small], first: int, second: int, motion: Motion) -> Meeting:
-    """Return the differences of two presses; motion: from the first to the second."""
+def meeting(presses: list[Small], first: int, second: int, pose: Pose) -> Meeting:
+    """Return the differences of two presses; pose: from the first to the second."""
     one, other = presses[first], presses[second]
-    step, (rows, columns) = one.step, one.z_um.shape
-    middle = np.array(one.centred((0.5 * (rows - 1), 0.5 * (columns - 1))))
-    # What registration counts from is the middle of the first press, in px of the reduced one.
-    base = np.array(other.centred((0.5 * (rows - 1), 0.5 * (columns - 1))))
-    away = (motion.of(middle) - base) / step
-    pose = Pose(float(away[0]), float(away[1]), motion.turn)
-    apart = moved(other.z_um, pose, one.z_um.shape, 1) - one.z_um
-    sigma = np.hypot(moved(other.sigma_um, pose, one.z_um.shape, 1), one.sigma_um)
+    rows, columns = one.z_um.shape
+    cells = one.in_cells(other, pose)
+    apart = moved(other.z_um, cells, one.z_um.shape, 1) - one.z_um
+    sigma = np.hypot(moved(other.sigma_um, cells, one.z_um.shape, 1), one.sigma_um)
     size = max(1, -(-max(rows, columns) // BLOCKS))
     places, values, sigmas = [], [], []
     for row in range(0, rows - size + 1, size):
@@ -92,7 +88,7 @@ def meeting(presses: list[Small], first: int, second: int, motion: Motion) -> Me
             values.append(float(np.median(block[known])))
             sigmas.append(float(np.nanmean(sigma[row : row + size, column : column + size])))
     here = np.array(places, np.float64).reshape(-1, 2)
-    return Meeting(first, second, here, motion.of(here), np.array(values), _known(np.array(sigmas)))
+    return Meeting(first, second, here, pose.of(here), np.array(values), _known(np.array(sigmas)))
 
 
 def levelled(meetings: list[Meeting], presses: int, reach_px: float) -> Levels:

@@ -11,12 +11,13 @@ from typing import Final
 
 import numpy as np
 
+from device.align.pose import Pose, turning
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.mosaic.overlaps import Candidate, Motion, turning
+from host_sync.mosaic.overlaps import Candidate
 from host_sync.mosaic.presses import Small
 from host_sync.registration.fit import Fit, Pair, coherence, fit
-from host_sync.registration.poses import Pose, moved
 from host_sync.registration.register import MIN_AGREEMENT, MIN_COHERENCE
+from host_sync.registration.resampling import moved
 
 ROUGH_PX: Final = 96
 ROUGH_SIDE_PX: Final = 40
@@ -76,10 +77,10 @@ class Link:
     refused: str = ""
 
     @property
-    def motion(self) -> Motion:
+    def pose(self) -> Pose:
         """From the first to the second."""
         away = self.there - turning(self.turn) @ self.here
-        return Motion(float(away[0]), float(away[1]), self.turn)
+        return Pose(float(away[0]), float(away[1]), self.turn)
 
     @property
     def sigma_px(self) -> float:
@@ -125,7 +126,7 @@ def _without_rivals(found: list[Link]) -> list[Link]:
     copies: set[int] = set()
     for links in pairs.values():
         best = min(links, key=lambda one: one.residual)
-        others = [one for one in links if float(np.hypot(*(one.motion.of(best.here) - best.there))) > APART_PX]
+        others = [one for one in links if float(np.hypot(*(one.pose.of(best.here) - best.there))) > APART_PX]
         copies |= {id(one) for one in links if one is not best and one not in others}
         rivals = [one for one in others if one.residual < RIVAL * best.residual]
         kept |= {id(one): RIVALLED for one in (best, *rivals) if rivals}
@@ -142,18 +143,15 @@ def _without_rivals(found: list[Link]) -> list[Link]:
 def linked(presses: list[Small], candidate: Candidate) -> Link | None:
     """Return the link that a candidate leads to, refused or not; None where the presses hardly overlap there."""
     one, other = presses[candidate.first], presses[candidate.second]
-    start = candidate.motion
-    cut = _cut(one, other, start)
-    if cut is None:
+    start = candidate.pose
+    boxes = _boxes(one, other, start)
+    if boxes is None:
         return None
-    first, second, corner, far = cut
-    middle = (corner[0] + 0.5 * (first.shape[0] - 1), corner[1] + 0.5 * (first.shape[1] - 1))
-    here = np.array(one.centred(middle))
+    first, second = (_piece(press, box) for press, box in zip((one, other), boxes, strict=True))
     # The pose of the cut pieces counts from the middle of the first piece, in px of the reduced press.
-    base = np.array(other.centred((far[0] + 0.5 * (first.shape[0] - 1), far[1] + 0.5 * (first.shape[1] - 1))))
-    at = (start.of(here) - base) / one.step
-    pose = Pose(float(at[0]), float(at[1]), start.turn)
-    found = _fitted(first, second, pose)
+    middle = 0.5 * (np.array(first.shape) - 1.0)
+    here, base = (press.centred(box[:2] + middle) for press, box in zip((one, other), boxes, strict=True))
+    found = _fitted(first, second, Pose(turn=start.turn).moved_by(*(start.of(here) - base) / one.step))
     if found is None:
         return None
     pair = Pair.of(first, second, max(first.shape))
@@ -197,23 +195,20 @@ def _fitted(first: Float32Array, second: Float32Array, pose: Pose) -> Fit | None
     return fit(Pair.of(first, second, max(first.shape)), pose)
 
 
-def _cut(
-    one: Small, other: Small, motion: Motion
-) -> tuple[Float32Array, Float32Array, tuple[int, int], tuple[int, int]] | None:
-    """Return both reduced presses cut to their overlap, and the first row and column of either piece."""
-    to_there = _in_cells(one, other, motion)
-    to_here = _in_cells(other, one, motion.back())
-    margin = round(MARGIN * max(one.z_um.shape))
-    here = _box(to_here, other.z_um.shape, one.z_um.shape, margin, (0, 0, *other.z_um.shape))
-    if here is None:
-        return None
-    there = _box(to_there, one.z_um.shape, other.z_um.shape, 2 * margin, here)
-    if there is None:
-        return None
-    return _piece(one, here), _piece(other, there), here[:2], there[:2]
+Box = tuple[int, int, int, int]
+"""First row, first column, end of rows, end of columns."""
 
 
-def _piece(press: Small, box: tuple[int, int, int, int]) -> Float32Array:
+def _boxes(one: Small, other: Small, pose: Pose) -> tuple[Box, Box] | None:
+    """Return the boxes of both reduced presses around their overlap; None if it is small."""
+    shapes = one.z_um.shape, other.z_um.shape
+    margin = round(MARGIN * max(shapes[0]))
+    here = _box(other.in_cells(one, pose.back()), shapes[1], shapes[0], margin, (0, 0, *shapes[1]))
+    there = here and _box(one.in_cells(other, pose), *shapes, 2 * margin, here)
+    return (here, there) if here and there else None
+
+
+def _piece(press: Small, box: Box) -> Float32Array:
     """Return a piece of a press with an invalid border, which keeps smoothing from making slopes there."""
     piece = press.z_um[box[0] : box[2], box[1] : box[3]].copy()
     piece[[0, -1]] = np.nan
@@ -221,28 +216,11 @@ def _piece(press: Small, box: tuple[int, int, int, int]) -> Float32Array:
     return piece
 
 
-def _in_cells(one: Small, other: Small, motion: Motion) -> Motion:
-    """Return the motion between cells of reduced presses, from their middles."""
-    middle = np.array(one.centred((0.5 * (one.z_um.shape[0] - 1), 0.5 * (one.z_um.shape[1] - 1))))
-    end = np.array(other.centred((0.5 * (other.z_um.shape[0] - 1), 0.5 * (other.z_um.shape[1] - 1))))
-    away = (motion.of(middle) - end) / one.step
-    return Motion(float(away[0]), float(away[1]), motion.turn)
-
-
-def _box(
-    motion: Motion,
-    start: tuple[int, ...],
-    shape: tuple[int, ...],
-    margin: int,
-    box: tuple[int, int, int, int],
-) -> tuple[int, int, int, int] | None:
-    """Return the box of a map of `shape` that a box of a map of `start` covers; None if it is small.
-
-    A box is (first row, first column, end of rows, end of columns).
-    """
+def _box(pose: Pose, start: tuple[int, ...], shape: tuple[int, ...], margin: int, box: Box) -> Box | None:
+    """Return the box of a map of `shape` that a box of a map of `start` covers; None if it is small."""
     rows, columns = (box[0], box[2] - 1), (box[1], box[3] - 1)
     corners = np.array([(row, column) for row in rows for column in columns], np.float64)
-    places = motion.of(corners - 0.5 * (np.array(start[:2]) - 1)) + 0.5 * (np.array(shape[:2]) - 1)
+    places = pose.of(corners - 0.5 * (np.array(start[:2]) - 1)) + 0.5 * (np.array(shape[:2]) - 1)
     low = np.maximum(np.floor(places.min(axis=0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(places.max(axis=0)).astype(int) + margin + 1, shape[:2])
     if (high - low).min() < MIN_SIDE_PX:

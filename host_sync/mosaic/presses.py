@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from device.surface.fields import Float32Array, MaskArray
+from device.align.pose import Pose
+from device.surface.fields import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError, UnreadableResult
 from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.registration.difference import are_copies
-from host_sync.registration.poses import reduced
+from host_sync.registration.resampling import reduced
 from host_sync.results.files import RECORD_FILE
 from host_sync.results.reader import read_result
 from host_sync.results.record import ResultRecord, read_record
@@ -69,12 +71,14 @@ class Small:
     full: tuple[int, int]
     has_sigma: bool = True
 
-    def centred(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Return a place of the reduced map (row, column) as px of the press from its middle."""
-        row, column = (
-            (at + 0.5) * self.step - 0.5 - 0.5 * (size - 1) for at, size in zip(place, self.full, strict=True)
-        )
-        return row, column
+    def centred(self, places: ArrayLike) -> Float64Array:
+        """Return places of the reduced map (row, column) as px of the press from its middle."""
+        return (np.asarray(places) + 0.5) * self.step - 0.5 * np.array(self.full)
+
+    def in_cells(self, other: Small, pose: Pose) -> Pose:
+        """Return a pose to another press (px of a press) in cells of the reduced maps, from their middles."""
+        here, there = (press.centred(0.5 * np.array(press.z_um.shape) - 0.5) for press in (self, other))
+        return Pose(turn=pose.turn).moved_by(*(pose.of(here) - there) / self.step)
 
 
 def press_of(folder: Path, library: Path | None = None) -> Press:

@@ -10,17 +10,19 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
+from device.align.pose import Pose
+from device.align.search import APART_PX, relief_slopes
 from device.io.atomic import atomic_directory
 from host_sync.errors import MosaicError
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.blending import blend, canvas_of
 from host_sync.mosaic.levelling import Meeting, levelled, meeting
 from host_sync.mosaic.links import RIVALLED, verified
-from host_sync.mosaic.overlaps import APART_PX, COARSE_PX, Layout, Motion, candidates, coarse_slopes
+from host_sync.mosaic.overlaps import COARSE_PX, Layout, candidates
 from host_sync.mosaic.presses import Press, Small, check_together, read_small, small_of
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.writing import Plan, mosaic_record, write_mosaic
-from host_sync.registration.poses import reduced
+from host_sync.registration.resampling import reduced
 from host_sync.results.files import RECORD_FILE
 
 ALIKE: Final = 0.6
@@ -35,8 +37,8 @@ MIN_OVERLAP: Final = 0.3
 
 def period_px(press: Small) -> float | None:
     """Return the shortest distance at which a press looks like itself, px of the press; None where none does."""
-    step = max(1, -(-max(press.z_um.shape) // COARSE_PX))
-    slopes = coarse_slopes(reduced(press.z_um, step))
+    step = -(-max(press.z_um.shape) // COARSE_PX)
+    slopes, _ = relief_slopes(reduced(press.z_um, step))
     rows, columns = slopes.shape
     shape = (fft.next_fast_len(2 * rows), fft.next_fast_len(2 * columns))
     known = (slopes != 0.0).astype(np.float32)
@@ -136,7 +138,7 @@ def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell:
     reach_px = 0.5 * float(np.hypot(*presses[0].shape))
     found = adjusted(good, len(presses), reach_px)
     known = {number: place for number, place in enumerate(found.places) if place is not None}
-    mean = Motion(0.0, 0.0, -float(np.mean([place.turn for place in known.values()])))
+    mean = Pose(0.0, 0.0, -float(np.mean([place.turn for place in known.values()])))
     known = {number: place.then(mean) for number, place in known.items()}
     order = {number: at for at, number in enumerate(sorted(known))}
     meetings = {}

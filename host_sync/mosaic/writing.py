@@ -13,15 +13,15 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.mosaic.adjustment import Adjusted
 from host_sync.mosaic.blending import Blend, Canvas
 from host_sync.mosaic.levelling import Levels, Meeting
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic
-from host_sync.registration.poses import reduced
+from host_sync.registration.resampling import reduced
 from host_sync.render.relief_sheet import write_relief
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import EXTRAPOLATED_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE
@@ -64,7 +64,7 @@ def mosaic_record(
     stretches = [value for value in stretches if np.isfinite(value)]
     ends = max(
         itertools.combinations(sorted(plan.places), 2),
-        key=lambda pair: plan.places[pair[0]].distance_px(plan.places[pair[1]], 0.0),
+        key=lambda pair: plan.places[pair[0]].distance(plan.places[pair[1]], 0.0),
     )
     return MosaicRecord(
         name=name,
@@ -77,7 +77,7 @@ def mosaic_record(
         links=tuple(_link_records(presses, plan)),
         stretch_median=float(np.median(stretches)) if stretches else None,
         stretch_spread=float(np.median(np.abs(stretches))) if stretches else None,
-        span_um=plan.places[ends[0]].distance_px(plan.places[ends[1]], 0.0) * pitch_um,
+        span_um=plan.places[ends[0]].distance(plan.places[ends[1]], 0.0) * pitch_um,
         span_sigma_um=plan.adjusted.distance_sigma_px(*ends) * pitch_um,
         covered_share=covered,
         period_um=None if plan.period_px is None else plan.period_px * pitch_um,
@@ -125,13 +125,13 @@ def _link_records(presses: list[Press], plan: Plan) -> Iterator[LinkRecord]:
 
 
 def _link_record(presses: list[Press], link: Link, pitch_um: float) -> LinkRecord:
-    motion = link.motion
+    pose = link.pose
     sigma_um = link.sigma_px * pitch_um if np.isfinite(link.covariance).all() else None
     return LinkRecord(
         first=presses[link.first].name,
         second=presses[link.second].name,
-        down_um=motion.down * pitch_um,
-        right_um=motion.right * pitch_um,
+        down_um=pose.down * pitch_um,
+        right_um=pose.right * pitch_um,
         turn_deg=float(np.degrees(link.turn)),
         sigma_um=sigma_um,
         agreement=link.agreement,
@@ -246,7 +246,7 @@ class Plan:
     refused: list[Link]
     links: list[Link]
     adjusted: Adjusted
-    places: dict[int, Motion]
+    places: dict[int, Pose]
     meetings: dict[int, Meeting]
     levels: Levels
     without_sigma: frozenset[int] = frozenset()

@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, Float64Array, MaskArray
-from host_sync.registration.poses import Pose, centred, moved, reduced
+from host_sync.registration.resampling import centred, moved, reduced
 
 ROUNDS: Final = 20
 PLAIN_ROUNDS: Final = 4
@@ -59,6 +60,11 @@ class Pair:
         small = (cv2.GaussianBlur(reduced(z_um, step), (0, 0), SMOOTHED_PX) for z_um in (first, second))
         one, other = (np.asarray(z_um, np.float32) for z_um in small)
         return cls(one, other, step)
+
+    @property
+    def reach_px(self) -> float:
+        """Half the diagonal of the first map, px."""
+        return 0.5 * self.step * float(np.hypot(*self.first.shape))
 
 
 def middle_px(pair: Pair) -> tuple[float, float]:
@@ -136,7 +142,7 @@ def fit(pair: Pair, start: Pose, *, turning: bool = True) -> Fit | None:
         limit = 4.0 * pair.step
         if size > limit:
             change = change * (limit / size)
-        pose = pose.moved_by(change)
+        pose = pose.moved_by(*change)
         if size < SETTLED_PX * pair.step and number > PLAIN_ROUNDS:
             break
     last = _Equations.of(pair, pose, turning=turning)

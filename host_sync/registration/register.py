@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from device.align.pose import Pose
+from device.align.search import PlaceSearch, relief_slopes
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
-from host_sync.registration.poses import Pose, Start, at_pitch, starts, texture_starts
+from host_sync.registration.resampling import at_pitch, reduced
 
 COARSE_PX: Final = 120
+TURNS_DEG: Final = tuple(range(-24, 25, 3))
+KEPT: Final = 5
+"""Starts of each coarse search over all turns; one more is the best without a turn."""
+
+TEXTURE_PX: Final = 768
+TEXTURE_KEPT: Final = 2
+MIN_OVERLAP: Final = 0.25
+"""Least overlap of a start, as a fraction of the field."""
+
+RIM: Final = 0.25
+"""Fraction of the map's height, above which skin counts as pressed."""
+
 FINE_PX: Final = 1024
 REFINED: Final = 3
 """Coarse fits that are refined."""
@@ -59,6 +73,12 @@ MIN_COHERENCE: Final = 0.5
 
 SLIDES: Final = "the shift along one direction is not seen: the relief is the same there"
 NOTHING_IN_COMMON: Final = "the two scans hardly overlap: choose two of the same place"
+
+Start = tuple[Pose, str]
+"""A pose to start from, and what it was found by."""
+
+Answer = tuple[Fit, str]
+"""A fit, and what its start was found by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +139,7 @@ def register(
     fine = Pair.of(first.z_um, other, FINE_PX)
     if near is not None:
         return _from_person(fine, near, pinned=pinned)
-    found = starts(first.z_um, other)
-    if frames is not None:
-        found += texture_starts(frames)
+    found = _starts(first.z_um, other, frames)
     coarse = Pair.of(first.z_um, other, COARSE_PX)
     answers = _answers(fine, coarse, found)
     if not answers:
@@ -175,69 +193,46 @@ def _judged(found: Fit, by: str, refused: str = "") -> Registration:
     return Registration(found.pose, found.covariance, found.agreement, found.share, by, refused)
 
 
-def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[tuple[Fit, str]]:
+def _answers(fine: Pair, coarse: Pair, given: list[Start]) -> list[Answer]:
     """Return the different fits that the starts lead to, best first."""
-    rough: list[tuple[Fit, str]] = []
-    for start in _different(given, coarse):
-        found = fit(coarse, start.pose)
-        if found is not None:
-            _add(rough, found, start.by, coarse)
-    rough.sort(key=lambda one: -one[0].agreement)
-    for pose in _around(rough[0][0].pose, coarse) if rough else ():
-        found = fit(coarse, pose)
-        if found is not None:
-            _add(rough, found, rough[0][1], coarse)
-    rough.sort(key=lambda one: -one[0].agreement)
-    found_fine: list[tuple[Fit, str]] = []
-    for one, by in rough[:REFINED]:
-        refined = fit(fine, one.pose)
-        if refined is not None:
-            _add(found_fine, refined, by, coarse)
-    return sorted(found_fine, key=lambda one: -one[0].agreement)
+    different: list[Start] = []
+    for start in given:
+        if all(start[0].distance(one, coarse.reach_px) > START_PX * coarse.step for one, _ in different):
+            different.append(start)
+    rough = _fits(coarse, different, APART_PX * coarse.step)
+    if rough:
+        best, by = rough[0]
+        rough = _fits(coarse, [(pose, by) for pose in _around(best.pose, coarse)], APART_PX * coarse.step, rough)
+    return _fits(fine, [(one.pose, by) for one, by in rough[:REFINED]], APART_PX * coarse.step)
 
 
 def _straight(fine: Pair, coarse: Pair, given: list[Start]) -> tuple[Fit | None, str]:
     """Return the best fit without a turn, and what found it; None where no start leads to one."""
-    rough = [
-        (found, one.by)
-        for one in given
-        if one.pose.turn == 0.0 and (found := fit(coarse, one.pose, turning=False)) is not None
-    ]
-    if not rough:
-        return None, ""
-    best, by = max(rough, key=lambda one: one[0].agreement)
-    return fit(fine, best.pose, turning=False), by
+    rough = _fits(coarse, [start for start in given if start[0].turn == 0.0], 0.0, turning=False)
+    return (fit(fine, rough[0][0].pose, turning=False), rough[0][1]) if rough else (None, "")
+
+
+def _fits(
+    pair: Pair, given: list[Start], apart_px: float, known: Sequence[Answer] = (), *, turning: bool = True
+) -> list[Answer]:
+    """Return the fits that are known, and those that starts lead to and that lie apart from all others, best first."""
+    found = list(known)
+    for start, by in given:
+        new = fit(pair, start, turning=turning)
+        if new and all(new.pose.distance(one.pose, pair.reach_px) >= apart_px for one, _ in found):
+            found.append((new, by))
+    return sorted(found, key=lambda one: -one[0].agreement)
 
 
 def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
     """Yield poses around one: turned about the middle of the object, and shifted."""
     place = middle_px(coarse)
     for turn_deg in HOPS_DEG:
-        turned = Pose(pose.down, pose.right, pose.turn + float(np.radians(turn_deg)))
-        off = [a - b for a, b in zip(pose.place_of(place), turned.place_of(place), strict=True)]
-        yield Pose(turned.down + off[0], turned.right + off[1], turned.turn)
+        turned = pose.moved_by(0.0, 0.0, float(np.radians(turn_deg)))
+        yield turned.moved_by(*(pose.of(place) - turned.of(place)))
     hop = HOP_SHARE * max(coarse.first.shape) * coarse.step
     for down, right in ((hop, 0.0), (-hop, 0.0), (0.0, hop), (0.0, -hop)):
-        yield Pose(pose.down + down, pose.right + right, pose.turn)
-
-
-def _different(given: list[Start], coarse: Pair) -> list[Start]:
-    """Return the starts without those that are close to one before them."""
-    kept: list[Start] = []
-    shape = tuple(size * coarse.step for size in coarse.first.shape)
-    for start in given:
-        if all(start.pose.distance_px(one.pose, shape) > START_PX * coarse.step for one in kept):
-            kept.append(start)
-    return kept
-
-
-def _add(answers: list[tuple[Fit, str]], new: Fit, by: str, coarse: Pair) -> None:
-    """Add a fit, unless it is one of those known."""
-    shape = tuple(size * coarse.step for size in coarse.first.shape)
-    for one, _ in answers:
-        if one.pose.distance_px(new.pose, shape) < APART_PX * coarse.step:
-            return
-    answers.append((new, by))
+        yield pose.moved_by(down, right)
 
 
 def _rivalry(best: Fit, others: list[Fit]) -> str:
@@ -261,3 +256,51 @@ def _apart(one: Pose, best: Pose) -> str:
     words += "right" if right >= 0.0 else "left"
     turn_deg = float(np.degrees(one.turn - best.turn))
     return words if abs(turn_deg) < SEEN_TURN_DEG else f"{words}, turned by {abs(turn_deg):.2f}°,"
+
+
+# Starts of a registration: the best places of several coarse searches over shift and turn.
+#
+# Each search can be led astray by itself: slopes by an object that slides along itself, the rim of contact by another
+# depth, the texture of the frames by what is fixed to the gel. So all of them give starts, and none decides.
+
+
+def _starts(
+    first: Float32Array, second: Float32Array, frames: tuple[Float32Array, Float32Array] | None = None
+) -> list[Start]:
+    """Return starts from relief and rim, best first within each, and from the texture of frames of one gel.
+
+    frames : grey arrays (H, W) of one size
+    """
+    step = -(-max(*first.shape, *second.shape) // COARSE_PX)
+    small = [reduced(z_um, step) for z_um in (first, second)]
+    found = [(Pose(), "as they lie")]
+    for by, maps in (("relief", small), ("rim", [_rim(z_um) for z_um in small])):
+        for turns_deg, count in ((TURNS_DEG, KEPT), ((0,), 1)):
+            found += [(pose, by) for pose in _poses(maps, step, turns_deg, count)]
+    if frames is not None:
+        step = -(-max(frames[0].shape) // TEXTURE_PX)
+        textures = [np.log(np.maximum(reduced(frame, step), np.float32(1e-4))) for frame in frames]
+        found += [(pose, "texture") for pose in _poses(textures, step, (0,), TEXTURE_KEPT)]
+    return found
+
+
+def _poses(maps: list[Float32Array], step: int, turns_deg: tuple[int, ...], count: int) -> list[Pose]:
+    """Return the best poses by the slopes of two maps that are reduced by `step`, px of the first."""
+    one, other = (relief_slopes(z_um)[0] for z_um in maps)
+    search = PlaceSearch(np.maximum(one.shape, other.shape).tolist(), turns_deg, MIN_OVERLAP)
+    # A registration counts from where the first's middle lies in the second when both lie corner on corner.
+    middle = [0.5 * step * (there - here) for here, there in zip(one.shape, other.shape, strict=True)]
+    return [
+        place.pose.in_units_of(1.0 / step).moved_by(*middle)
+        for place in search.places(search.first(one), search.second(other), count)
+    ]
+
+
+def _rim(z_um: Float32Array) -> Float32Array:
+    """1 where the skin is pressed, 0 elsewhere, NaN where invalid: float32 array of shape (h, w)."""
+    known = z_um[np.isfinite(z_um)]
+    if not known.size:
+        return z_um
+    low, high = np.percentile(known, [5.0, 99.0])
+    pressed = (z_um > low + RIM * (high - low)).astype(np.float32)
+    return np.where(np.isfinite(z_um), pressed, np.float32(np.nan)).astype(np.float32)

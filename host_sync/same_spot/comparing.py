@@ -10,11 +10,11 @@ import cv2
 import msgspec
 import numpy as np
 
+from device.align.pose import Pose
 from device.io.atomic import atomic_directory
 from device.surface.fields import HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.difference import Difference, are_copies, difference
-from host_sync.registration.poses import Pose
 from host_sync.render.picture_file import write_any_picture
 from host_sync.render.relief_sheet import with_strip
 from host_sync.render.shading import Picture

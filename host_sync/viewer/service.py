@@ -217,8 +217,8 @@ class ViewerService:
 
     def _make_difference(self, first: Entry, second: Entry, folder: Path, near: NearPose | None) -> DifferenceRecord:
         # Compiled code is loaded when it is first needed, so that the list appears at once.
+        from device.align.pose import Pose
         from host_sync.registration.difference import difference
-        from host_sync.registration.poses import Pose
 
         pose = None
         if near is not None:

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, Float64Array
-from host_sync.mosaic.overlaps import Motion
 from host_sync.mosaic.presses import Fields, Press
-from host_sync.registration.poses import between_pixels
+from host_sync.registration.resampling import between_pixels
 from host_sync.results.field_file import write_field
 from host_sync.results.files import HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE
 from host_sync.results.record import ResultRecord, encode_record
@@ -29,7 +29,7 @@ class Target:
 
     z_um: Float32Array
 
-    def seen(self, place: Motion, shape: tuple[int, int]) -> Float32Array:
+    def seen(self, place: Pose, shape: tuple[int, int]) -> Float32Array:
         """What a press sees whose middle lies at a place (px from the middle of the target)."""
         row, column = np.meshgrid(*(np.arange(size) - 0.5 * (size - 1) for size in shape), indexing="ij")
         at = place.of(np.stack([row, column], axis=-1)) + 0.5 * (np.array(self.z_um.shape) - 1)
@@ -46,10 +46,10 @@ def rough_target(shape: tuple[int, int], seed: int = 3) -> Target:
     return Target(z_um)
 
 
-def grid_places(rows: int, columns: int, step_px: tuple[float, float], random: np.random.Generator) -> list[Motion]:
+def grid_places(rows: int, columns: int, step_px: tuple[float, float], random: np.random.Generator) -> list[Pose]:
     """Places of a grid as a hand finds them: half a millimetre and two degrees off."""
     return [
-        Motion(
+        Pose(
             (row - 0.5 * (rows - 1)) * step_px[0] + random.normal(0.0, 10.0),
             (column - 0.5 * (columns - 1)) * step_px[1] + random.normal(0.0, 10.0),
             float(np.radians(random.normal(0.0, 2.0))),
@@ -60,7 +60,7 @@ def grid_places(rows: int, columns: int, step_px: tuple[float, float], random: n
 
 
 def pressed(
-    target: Target, place: Motion, shape: tuple[int, int], random: np.random.Generator, sigma_um: float = 1.0
+    target: Target, place: Pose, shape: tuple[int, int], random: np.random.Generator, sigma_um: float = 1.0
 ) -> Float32Array:
     """One press: its own height and tilt, errors of long waves and noise."""
     z_um = target.seen(place, shape)
@@ -96,14 +96,14 @@ def lazy_press(
     return Press(name, record, read)
 
 
-def errors_px(found: list[Motion | None], truth: list[Motion], reach_px: float) -> Float64Array:
+def errors_px(found: list[Pose | None], truth: list[Pose], reach_px: float) -> Float64Array:
     """How far each place is off, px, once both are laid onto each other by the first that is known."""
     root = next(number for number, place in enumerate(found) if place is not None)
     base = found[root]
     assert base is not None
     return np.array(
         [
-            np.nan if place is None else place.then(base.back()).distance_px(true.then(truth[root].back()), reach_px)
+            np.nan if place is None else place.then(base.back()).distance(true.then(truth[root].back()), reach_px)
             for place, true in zip(found, truth, strict=True)
         ]
     )

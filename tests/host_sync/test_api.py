@@ -20,6 +20,7 @@ import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
 from pressed_frames import write_frame_set
 
+from device.align.pose import Pose
 from device.errors import OutputError
 from host_sync import api
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -33,7 +34,6 @@ from host_sync.errors import (
     MosaicError,
     UnreadableResult,
 )
-from host_sync.mosaic.overlaps import Motion
 from host_sync.video import frame_solver
 
 PUBLIC = {
@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         api.reconstruct(folder / "ball-6.png", kept, out=folder / "results" / "ball")
         random, target = np.random.default_rng(3), rough_target((240, 400))
         for name, right_px in (("left", -60.0), ("right", 60.0)):
-            seen = pressed(target, Motion(0.0, right_px), (136, 182), random)
+            seen = pressed(target, Pose(0.0, right_px), (136, 182), random)
             write_press(press_of_map(name, seen), folder / "results")
         (folder / "library").mkdir()
         patch.chdir(folder)

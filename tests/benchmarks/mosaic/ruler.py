@@ -22,13 +22,14 @@ from typing import Final
 import cv2
 import numpy as np
 
+from device.align.pose import Pose, turning
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.mosaic.adjustment import adjusted
-from host_sync.mosaic.overlaps import Layout, Motion, turning
+from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.stitch import planned, stitch
-from host_sync.registration.poses import between_pixels
+from host_sync.registration.resampling import between_pixels
 from host_sync.results.reader import read_result
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "apparatus"))
@@ -95,10 +96,10 @@ def _pixel(x_mm: float, y_mm: float) -> tuple[int, int]:
     return round(0.5 * SIZE_MM[1] / GRAIN_MM + x_mm / GRAIN_MM), round(0.5 * SIZE_MM[0] / GRAIN_MM - y_mm / GRAIN_MM)
 
 
-def places(side: int, random: np.random.Generator) -> list[Motion]:
+def places(side: int, random: np.random.Generator) -> list[Pose]:
     """Where presses lie on the ruler (px; rows downwards): a grid, half a millimetre and two degrees off."""
     return [
-        Motion(
+        Pose(
             (row - 0.5 * (side - 1)) * STEP_MM[0] / PITCH_MM + random.normal(0.0, 10.0),
             (column - 0.5 * (side - 1)) * STEP_MM[1] / PITCH_MM + random.normal(0.0, 10.0),
             float(np.radians(random.normal(0.0, 2.0))),
@@ -108,7 +109,7 @@ def places(side: int, random: np.random.Generator) -> list[Motion]:
     ]
 
 
-def pressed(ruler: ReliefMap, place: Motion, depth_mm: float, random: np.random.Generator) -> HeightMap:
+def pressed(ruler: ReliefMap, place: Pose, depth_mm: float, random: np.random.Generator) -> HeightMap:
     """The press at a place."""
     turn = place.turn
     x_mm, y_mm = place.right * PITCH_MM, -place.down * PITCH_MM
@@ -117,7 +118,7 @@ def pressed(ruler: ReliefMap, place: Motion, depth_mm: float, random: np.random.
     return press(ruler, hand, random)
 
 
-def press_sigma_um(ruler: ReliefMap, place: Motion) -> float:
+def press_sigma_um(ruler: ReliefMap, place: Pose) -> float:
     """Standard uncertainty of a height, µm: what two presses of one place are apart, a plane taken off, over √2."""
     maps = [pressed(ruler, place, PRESSED_MM, np.random.default_rng(seed)).z_um for seed in (1, 2)]
     apart = (maps[1] - maps[0]).astype(np.float64)
@@ -127,7 +128,7 @@ def press_sigma_um(ruler: ReliefMap, place: Motion) -> float:
     return float(rest.std() / np.sqrt(2.0))
 
 
-def true_presses(ruler: ReliefMap, truth: list[Motion], random: np.random.Generator) -> list[Press]:
+def true_presses(ruler: ReliefMap, truth: list[Pose], random: np.random.Generator) -> list[Press]:
     """Presses of different depth at the places, each with a level of its own."""
     sigma_um = press_sigma_um(ruler, truth[len(truth) // 2])
     presses = []
@@ -139,13 +140,13 @@ def true_presses(ruler: ReliefMap, truth: list[Motion], random: np.random.Genera
     return presses
 
 
-def said_layout(truth: list[Motion], within_mm: float, random: np.random.Generator) -> Layout:
+def said_layout(truth: list[Pose], within_mm: float, random: np.random.Generator) -> Layout:
     """Where a person who moves along the ruler says that the presses are: a quarter of `within_mm` off."""
     off = random.normal(0.0, 0.25 * within_mm / PITCH_MM, (len(truth), 2))
     return Layout(np.array([[place.down, place.right] for place in truth]) + off, within_mm / PITCH_MM)
 
 
-def lengths_mm(z_um: Float32Array, record: MosaicRecord, truth: list[Motion]) -> list[float]:
+def lengths_mm(z_um: Float32Array, record: MosaicRecord, truth: list[Pose]) -> list[float]:
     """Measured length of `LENGTH_MM` on every scale: distance of two graduations, found in the mosaic's heights."""
     found = np.array([[place.row_px, place.column_px] for place in record.presses])
     real = np.array([[place.down, place.right] for place in truth])
@@ -212,7 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _wrong(presses: list[Press], truth: list[Motion], layout: Layout | None, random: np.random.Generator) -> None:
+def _wrong(presses: list[Press], truth: list[Pose], layout: Layout | None, random: np.random.Generator) -> None:
     """Print what becomes of overlaps that look right and are wrong."""
     plan = planned(presses, layout=layout)
     off = []
@@ -240,7 +241,7 @@ def _wrong(presses: list[Press], truth: list[Motion], layout: Layout | None, ran
     reach_px = 0.5 * float(np.hypot(*SHAPE))
     found = adjusted([*right, *made], len(presses), reach_px)
     errors = [
-        place.then(found.places[0].back()).distance_px(real.then(truth[0].back()), 0.0)
+        place.then(found.places[0].back()).distance(real.then(truth[0].back()), 0.0)
         for place, real in zip(found.places, truth, strict=True)
         if place is not None and found.places[0] is not None
     ]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mosaic_presses import errors_px, grid_places
 
+from device.align.pose import Pose
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.overlaps import Motion
 
 SHAPE = (272, 364)
 REACH_PX = 0.5 * float(np.hypot(*SHAPE))
@@ -18,7 +18,7 @@ SIGMA_PX = 0.05
 SIGMA_TURN = 3e-4
 
 
-def link_of(first: int, second: int, motion: Motion, random: np.random.Generator) -> Link:
+def link_of(first: int, second: int, motion: Pose, random: np.random.Generator) -> Link:
     """A link as a verified overlap gives it."""
     here = -0.5 * np.array([motion.down, motion.right])
     there = motion.of(here) + random.normal(0.0, SIGMA_PX, 2)
@@ -26,7 +26,7 @@ def link_of(first: int, second: int, motion: Motion, random: np.random.Generator
     return Link(first, second, here, there, motion.turn + random.normal(0.0, SIGMA_TURN), covariance, 0.97, 0.3)
 
 
-def grid_links(truth: list[Motion], columns: int, random: np.random.Generator) -> list[Link]:
+def grid_links(truth: list[Pose], columns: int, random: np.random.Generator) -> list[Link]:
     """Links of neighbours beside and below each other."""
     links = []
     for one, other in itertools.combinations(range(len(truth)), 2):
@@ -45,7 +45,7 @@ def test_fifty_wrong_overlaps_are_rejected(seed: int) -> None:
     for _ in range(50):
         one, other = sorted(int(press) for press in random.choice(25, 2, replace=False))
         away = random.uniform(-200.0, 200.0, 2)
-        links.append(link_of(one, other, Motion(float(away[0]), float(away[1]), random.normal(0.0, 0.05)), random))
+        links.append(link_of(one, other, Pose(float(away[0]), float(away[1]), random.normal(0.0, 0.05)), random))
     found = adjusted(links, 25, REACH_PX)
     assert found.used == [True] * good + [False] * 50
     assert errors_px(found.places, truth, 0.0).max() < 1.0
@@ -61,7 +61,7 @@ def test_the_uncertainty_of_a_span_holds_the_errors() -> None:
         one, other = found.places[0], found.places[8]
         assert one is not None
         assert other is not None
-        off = one.distance_px(other, 0.0) - truth[0].distance_px(truth[8], 0.0)
+        off = one.distance(other, 0.0) - truth[0].distance(truth[8], 0.0)
         ratios.append(off / found.distance_sigma_px(0, 8))
     # Gels are strained: a floor that these links do not have is part of the uncertainty.
     assert float(np.sqrt(np.mean(np.square(ratios)))) < 1.0
@@ -82,7 +82,7 @@ def test_of_two_links_of_one_pair_the_one_that_closes_loops_is_kept() -> None:
     random = np.random.default_rng(3)
     truth = grid_places(2, 2, (190.0, 255.0), random)
     links = grid_links(truth, 2, random)
-    right = links[0].motion
-    links.append(link_of(0, 1, Motion(right.down, right.right + 21.0, right.turn), random))
+    right = links[0].pose
+    links.append(link_of(0, 1, Pose(right.down, right.right + 21.0, right.turn), random))
     found = adjusted(links, 4, REACH_PX)
     assert found.used == [True, True, True, True, False]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from mosaic_presses import Target, errors_px, grid_places, press_of_map, pressed, rough_target
 
+from device.align.pose import Pose
 from host_sync.errors import MosaicError
-from host_sync.mosaic.overlaps import Layout, Motion
+from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press, Small, small_of
 from host_sync.mosaic.stitch import period_px, planned, stitch
 from host_sync.results.record import read_record
@@ -19,7 +20,7 @@ SHAPE = (136, 182)
 PERIOD_PX = 20.83
 
 
-def ruler() -> tuple[list[Press], list[Motion]]:
+def ruler() -> tuple[list[Press], list[Pose]]:
     """Five presses along it and where they are."""
     random = np.random.default_rng(2)
     column = np.arange(900)
@@ -30,7 +31,7 @@ def ruler() -> tuple[list[Press], list[Motion]]:
     return [press_of_map(f"part-{n}", pressed(target, at, SHAPE, random)) for n, at in enumerate(truth)], truth
 
 
-def layout(truth: list[Motion], within_px: float) -> Layout:
+def layout(truth: list[Pose], within_px: float) -> Layout:
     return Layout(np.array([[at.down, at.right] for at in truth]), within_px)
 
 

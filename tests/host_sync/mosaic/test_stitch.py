@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from mosaic_presses import PITCH_UM, Target, errors_px, grid_places, press_of_map, pressed, rough_target
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
-from host_sync.mosaic.overlaps import Layout, Motion
+from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.stitch import planned, stitch
@@ -26,13 +27,13 @@ STEP_PX = (95.0, 127.0)
 REACH_PX = 0.5 * float(np.hypot(*SHAPE))
 
 
-def presses_of(target: Target, truth: list[Motion], seed: int = 5) -> list[Press]:
+def presses_of(target: Target, truth: list[Pose], seed: int = 5) -> list[Press]:
     random = np.random.default_rng(seed)
     return [press_of_map(f"p{number}", pressed(target, place, SHAPE, random)) for number, place in enumerate(truth)]
 
 
 @pytest.fixture(scope="module")
-def truth() -> list[Motion]:
+def truth() -> list[Pose]:
     return grid_places(3, 3, STEP_PX, np.random.default_rng(1))
 
 
@@ -45,18 +46,18 @@ def target() -> Target:
 def stranger() -> Press:
     """A press of something else."""
     random = np.random.default_rng(8)
-    return press_of_map("stranger", pressed(rough_target((200, 250), seed=17), Motion(), SHAPE, random))
+    return press_of_map("stranger", pressed(rough_target((200, 250), seed=17), Pose(), SHAPE, random))
 
 
 @pytest.fixture(scope="module")
 def mosaic(
-    target: Target, truth: list[Motion], stranger: Press, tmp_path_factory: pytest.TempPathFactory
+    target: Target, truth: list[Pose], stranger: Press, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, MosaicRecord]:
     out = tmp_path_factory.mktemp("mosaic") / "whole"
     return out, stitch([*presses_of(target, truth), stranger], out)
 
 
-def truth_on(record: MosaicRecord, target: Target, truth: list[Motion], shape: tuple[int, ...]) -> Float32Array:
+def truth_on(record: MosaicRecord, target: Target, truth: list[Pose], shape: tuple[int, ...]) -> Float32Array:
     """The target at the mosaic's pixels, which the record's places of three presses tell."""
     found = np.array([[place.row_px, place.column_px] for place in record.presses])
     real = np.array([[place.down, place.right] for place in truth])
@@ -78,7 +79,7 @@ def errors_um(z_um: Float32Array, true_um: Float32Array) -> tuple[Float32Array, 
 
 
 def test_heights_are_the_targets_to_the_stated_uncertainty(
-    mosaic: tuple[Path, MosaicRecord], target: Target, truth: list[Motion]
+    mosaic: tuple[Path, MosaicRecord], target: Target, truth: list[Pose]
 ) -> None:
     out, record = mosaic
     result = read_result(out)
@@ -90,7 +91,7 @@ def test_heights_are_the_targets_to_the_stated_uncertainty(
     assert np.mean(np.abs(rest) < 2.0 * result.sigma_um[known]) > 0.8
 
 
-def test_spans_are_true_to_a_thousandth(mosaic: tuple[Path, MosaicRecord], truth: list[Motion]) -> None:
+def test_spans_are_true_to_a_thousandth(mosaic: tuple[Path, MosaicRecord], truth: list[Pose]) -> None:
     _, record = mosaic
     found = np.array([[place.row_px, place.column_px] for place in record.presses])
     real = np.array([[place.down, place.right] for place in truth])
@@ -121,7 +122,7 @@ def test_a_mosaic_is_measured_as_any_result_is(mosaic: tuple[Path, MosaicRecord]
     assert not found.failed
 
 
-def test_a_layout_leaves_out_what_is_far_apart(target: Target, truth: list[Motion]) -> None:
+def test_a_layout_leaves_out_what_is_far_apart(target: Target, truth: list[Pose]) -> None:
     presses = presses_of(target, truth)[:3]
     places = np.array([[place.down, place.right] for place in truth[:3]])
     near = planned(presses, layout=Layout(places, 30.0))
@@ -133,7 +134,7 @@ def test_a_layout_leaves_out_what_is_far_apart(target: Target, truth: list[Motio
         planned(presses, layout=Layout(places * 100.0, 30.0))
 
 
-def test_presses_that_do_not_go_together_are_refused(stranger: Press, target: Target, truth: list[Motion]) -> None:
+def test_presses_that_do_not_go_together_are_refused(stranger: Press, target: Target, truth: list[Pose]) -> None:
     with pytest.raises(MosaicError, match="two presses or more"):
         planned([stranger])
     with pytest.raises(MosaicError, match="two presses are named stranger"):
@@ -146,7 +147,7 @@ def test_presses_that_do_not_go_together_are_refused(stranger: Press, target: Ta
         planned([stranger, empty])
 
 
-def on_two_calibrations(target: Target, truth: list[Motion], gains: tuple[float, float]) -> list[Press]:
+def on_two_calibrations(target: Target, truth: list[Pose], gains: tuple[float, float]) -> list[Press]:
     """Presses whose calibrations take turns: one is three times as uncertain, and each has a gain of its own."""
     random = np.random.default_rng(6)
     found = []
@@ -161,7 +162,7 @@ def on_two_calibrations(target: Target, truth: list[Motion], gains: tuple[float,
 
 
 def test_presses_of_two_calibrations_become_one_with_seams_within_their_uncertainty(
-    target: Target, truth: list[Motion], tmp_path: Path
+    target: Target, truth: list[Pose], tmp_path: Path
 ) -> None:
     record = stitch(on_two_calibrations(target, truth, (1.0, 1.0)), tmp_path / "whole")
     assert (record.left_out, record.rejected) == ((), ())
@@ -182,7 +183,7 @@ def test_presses_of_two_calibrations_become_one_with_seams_within_their_uncertai
 
 
 def test_calibrations_that_differ_by_more_than_their_uncertainty_are_a_doubt(
-    target: Target, truth: list[Motion], tmp_path: Path
+    target: Target, truth: list[Pose], tmp_path: Path
 ) -> None:
     record = stitch(on_two_calibrations(target, truth, (1.0, 1.2)), tmp_path / "whole")
     assert max(link.seam_sigmas or 0.0 for link in record.used) > 2.0

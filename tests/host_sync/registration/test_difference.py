@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from device.align.pose import Pose
 from device.surface.fields import HeightMap
 from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.registration.difference import difference
-from host_sync.registration.poses import Pose
 from host_sync.registration.register import MIN_AGREEMENT, register
 
 SHAPE = (300, 400)

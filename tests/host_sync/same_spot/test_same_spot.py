@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
 
+from device.align.pose import Pose
 from device.surface.fields import Float32Array, HeightMap
 from host_sync.cli.main import main
-from host_sync.mosaic.overlaps import Motion
 from host_sync.registration.difference import are_copies, difference
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER, changes
 
@@ -27,13 +27,13 @@ def two_presses(dent_um: float, seed: int = 4, target_seed: int = 3) -> tuple[Fl
     """Two presses of one target, the second shifted and turned; dented in between."""
     random = np.random.default_rng(seed)
     target = rough_target((400, 400))
-    first = pressed(target, Motion(0.0, 0.0, 0.0), SHAPE, random, 0.3)
+    first = pressed(target, Pose(0.0, 0.0, 0.0), SHAPE, random, 0.3)
     if target_seed != 3:
         target = rough_target((400, 400), target_seed)
     row, column = np.mgrid[:400, :400] - np.float32(0.5 * 399)
     away = np.hypot(row - (DENT[0] - 79.5), column - (DENT[1] - 99.5))
     target.z_um[...] -= np.float32(dent_um) * np.exp(-0.5 * (away / 5.0) ** 2).astype(np.float32)
-    return first, pressed(target, Motion(6.0, -9.0, 0.03), SHAPE, random, 0.3)
+    return first, pressed(target, Pose(6.0, -9.0, 0.03), SHAPE, random, 0.3)
 
 
 @pytest.fixture
