@@ -11,8 +11,8 @@ IMAGE_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/retrograph-image
 EVERY_PART := body led_holder gel_frame camera_plate tray saddle panel_frame panel_post panel_clip cap plate block
 STEP_TOOL ?= .step-tool
 
-# Of the tests; each takes up to 3 GB.
-PROCESSES ?= 2
+# Of the tests; each takes up to 3 GB. The third works while others wait for screens, files and programs.
+PROCESSES ?= 3
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c

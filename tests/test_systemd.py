@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 from console_font import SCREEN_FONTS
+from sshd import SSHD, needs_sshd, prepare_sshd
 from unit_files import INSTRUMENTS, SYSTEMD, settings, unit_files
 
 from device.cli.main import COMMANDS
@@ -251,8 +252,6 @@ def test_avahi_announces_what_discovery_looks_for() -> None:
     assert service.findtext("service/txt-record") == "retrograph=1"
 
 
-SSHD = shutil.which("sshd", path="/usr/sbin:/usr/local/sbin:/usr/bin")
-needs_sshd = pytest.mark.skipif(SSHD is None, reason="OpenSSH's sshd is not installed")
 RESCUE = "retrograph-rescue-key.service"
 
 
@@ -260,7 +259,7 @@ RESCUE = "retrograph-rescue-key.service"
 @pytest.mark.parametrize(("there", "starts"), [("ab", True), ("a", True), ("b", True), ("", False)])
 def test_sshd_starts_with_its_own_key_or_with_the_one_for_repairs(tmp_path: Path, there: str, starts: bool) -> None:
     """The own key is a link into the data partition, and leads nowhere without it."""
-    assert SSHD is not None
+    prepare_sshd()
     own, rescue, partition = tmp_path / "own", tmp_path / "rescue", tmp_path / "data"
     own.symlink_to(partition)
     for name, path in (("a", partition), ("b", rescue)):
@@ -301,7 +300,7 @@ def test_what_makes_the_key_for_repairs_makes_one(tmp_path: Path) -> None:
 
 @needs_sshd
 def test_sshd_lets_the_offload_do_nothing_but_sftp(tmp_path: Path) -> None:
-    assert SSHD is not None
+    prepare_sshd()
     key = tmp_path / "host_key"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
     drop_in = (SYSTEMD / "sshd-retrograph.conf").read_text(encoding="utf-8")

@@ -7,13 +7,13 @@ import pytest
 from matt_light import matt_model
 from near_lamps import SHAPE, NearLamps, balls
 
-from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
+from host_sync.kernels.cell_rows import means_of_cells, middles_of_cells
 from host_sync.light.cells import Cells
 from host_sync.light.reading import RaisedField, solve_raised
 
 LAMP_PX = 180.0
 LAMPS = NearLamps(LAMP_PX)
-CELL = cell_px(SHAPE)
+CELL = 4
 SIZE = (SHAPE[0] // CELL, SHAPE[1] // CELL)
 GAIN_SIGMA = 0.01
 

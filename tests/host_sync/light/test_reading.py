@@ -16,6 +16,7 @@ from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface.fields import GradientField
 from host_sync.integration.integrate import integrate
+from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cells import SHADOW_WEIGHT
 from host_sync.light.reading import CellCorrection, correct_slopes
 from host_sync.uncertainty.elevation import ElevationCorrection
@@ -30,6 +31,8 @@ EVERYWHERE = np.ones(SHAPE, bool)
 BALLS = ElevationCorrection(apex_px=15.0, radius_px=RADIUS_PX, nearness_per_px=1.0 / LAMP_PX)
 PRIOR_SIGMA = 0.1
 GAIN_SIGMA = 0.01
+FEW_CELLS = 96
+"""Along the columns, where a test searches in many rounds."""
 ZERO = np.zeros(SHAPE)
 DISTANCE = np.hypot(COLUMN - 0.5 * SHAPE[1], ROW - 0.5 * SHAPE[0])
 
@@ -86,9 +89,9 @@ def evidence(moved: np.ndarray) -> RestEvidence:
 
 
 def corrected(
-    gradients: GradientField, image: NormalizedImage, rest: RestEvidence | None = None
+    gradients: GradientField, image: NormalizedImage, rest: RestEvidence | None = None, cells_across: int = WIDEST_CELLS
 ) -> tuple[CellCorrection, GradientField]:
-    found = correct_slopes(gradients, image, LIGHT, PRIOR_SIGMA, BALLS, rest=rest)
+    found = correct_slopes(gradients, image, LIGHT, PRIOR_SIGMA, BALLS, rest=rest, cells_across=cells_across)
     after = replace(gradients, p=gradients.p.copy(), q=gradients.q.copy(), weight=gradients.weight.copy())
     found.apply(after)
     return found, after
@@ -237,7 +240,7 @@ def test_an_object_under_the_whole_field_has_no_skin_at_rest_and_keeps_its_heigh
     z = waves()
     image = noisy(LAMPS.intensity(z + 8.0), np.array(gain))
     before = seen_as_at_rest(image)
-    found, after = corrected(before, image, evidence(EVERYWHERE))
+    found, after = corrected(before, image, evidence(EVERYWHERE), FEW_CELLS)
     assert not found.has_rest
     wrong, left = (float((integrate(one, 1.0)[0].z_um - z).std()) for one in (before, after))
     assert left < 0.3 * wrong
@@ -250,7 +253,7 @@ def test_a_plate_under_the_whole_field_is_no_skin_at_rest(tilt: float) -> None:
     z = 8.0 + tilt * (COLUMN - 0.5 * SHAPE[1])
     image = noisy(LAMPS.intensity(z))
     before = seen_as_at_rest(image)
-    found, after = corrected(before, image, evidence(EVERYWHERE))
+    found, after = corrected(before, image, evidence(EVERYWHERE), FEW_CELLS)
     assert not found.has_rest
     wrong, left = (float((integrate(one, 1.0)[0].z_um - z).std()) for one in (before, after))
     assert left < 0.3 * wrong
@@ -259,5 +262,5 @@ def test_a_plate_under_the_whole_field_is_no_skin_at_rest(tilt: float) -> None:
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.98, 1.0, 1.01)])
 def test_skin_at_rest_is_no_object_under_the_whole_field(gain: tuple[float, ...]) -> None:
     image = noisy(LAMPS.intensity(ZERO), np.array(gain))
-    found, _ = corrected(seen_as_at_rest(image), image, evidence(EVERYWHERE))
+    found, _ = corrected(seen_as_at_rest(image), image, evidence(EVERYWHERE), FEW_CELLS)
     assert found.has_rest

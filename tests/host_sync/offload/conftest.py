@@ -19,12 +19,12 @@ import asyncssh
 import msgspec
 import pytest
 from limits import join
+from sshd import SSHD, WITHOUT_SSHD, prepare_sshd
 
 from device.store.store import BundleStore
 from host_sync.offload.paired_devices import PairedDevice
 from host_sync.offload.sftp_link import ReconnectingSftp, Timeouts
 
-SSHD = shutil.which("sshd") or shutil.which("sshd", path="/usr/sbin:/usr/local/sbin")
 BRISK = Timeouts(keepalive_s=0.5, unanswered=2, give_up_s=5.0, retry_s=0.01)
 
 
@@ -41,7 +41,6 @@ class Server:
     listener: threading.Thread | None = None
 
     def start(self) -> None:
-        assert SSHD is not None
         self.process = subprocess.Popen([SSHD, "-D", "-e", "-f", self.folder / "sshd_config"], stderr=subprocess.PIPE)
         assert self.process.stderr is not None
         said = b""
@@ -95,10 +94,9 @@ def confinement() -> Callable[[Path], str]:
 @pytest.fixture
 def server(tmp_path: Path, store: BundleStore, confinement: Callable[[Path], str]) -> Iterator[Server]:
     """The store of the fixture `store`, served; nothing but SFTP, nobody but one key."""
-    if SSHD is None:
-        pytest.skip("OpenSSH's sshd is not installed: `make test-deps`")
-    if os.geteuid() == 0:
-        Path("/run/sshd").mkdir(exist_ok=True)
+    if shutil.which(SSHD) is None:
+        pytest.skip(WITHOUT_SSHD)
+    prepare_sshd()
     folder = tmp_path / "sshd"
     folder.mkdir()
     host_key, own_key = (asyncssh.generate_private_key("ssh-ed25519") for _ in range(2))
