@@ -79,7 +79,8 @@ def louder(found: Reconstruction, silent: Reconstruction) -> tuple[float, float]
     return read, surface
 
 
-@pytest.mark.parametrize("loud", [0, *(pytest.param(loud, marks=pytest.mark.slow) for loud in (1, 2))])
+@pytest.mark.slow
+@pytest.mark.parametrize("loud", [0, 1, 2])
 def test_raw_slopes_are_quieter_with_the_null_colour(ring_calibration: Calibration, loud: int) -> None:
     noise = noise_of(loud)
     calibration = that_knows_noise(ring_calibration, noise)
