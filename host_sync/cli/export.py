@@ -47,8 +47,8 @@ def export_command(
         Folders that reconstruct wrote, or GelSight TMD files; or, for the newest result of each, scans by id (or its
         beginning or end), by part, or by the name that `retrosync list SCAN --set-name` gave.
     to
-        gsf gwy x3p sur sdf al3d tmd tiff png npz, csv (a profile), ply stl obj glb (meshes). For a scan, dng and
-        tiff hold its raw frame, the sensor's own counts.
+        csv holds a profile; ply, stl, obj and glb are meshes. For a scan, dng and tiff hold its raw frame, the
+        sensor's own counts.
     out
         Folder for the files.
     library
@@ -61,8 +61,8 @@ def export_command(
         Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
         middle row when not given.
     sigma
-        Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file:
-        gsf x3p sur sdf al3d tmd. gwy, tiff, npz and csv always hold it with the heights.
+        Also write the standard uncertainty of the height, as NAME.sigma.FORM, where a format holds one surface a
+        file. gwy, tiff, npz and csv always hold it with the heights.
     semicolon
         Write csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     overwrite
