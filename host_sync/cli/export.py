@@ -20,6 +20,11 @@ from host_sync.export.surface_export import FORMATS, ExportChoices
 from host_sync.library.library import Library, default_library
 
 RAW: Final = get_args(RawFormat)
+SIGMA_HELP: Final = (
+    "Also write the standard uncertainty of the height as NAME.sigma.FORM, for formats that hold one surface a file: "
+    f"{' '.join(name for name, form in FORMATS.items() if form.one_layer)}. gwy, tiff, npz and csv always hold it with "
+    "the heights."
+)
 
 if TYPE_CHECKING:
     ExportFormat = str
@@ -35,7 +40,7 @@ def export_command(
     mesh_step: int | None = None,
     base_mm: float | None = None,
     line_um: LineUm | None = None,
-    sigma: bool = False,
+    sigma: Annotated[bool, Parameter(help=SIGMA_HELP)] = False,
     semicolon: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -60,9 +65,6 @@ def export_command(
     line_um
         Start column, start row, end column, end row of the profile, from the centre of the first pixel; the
         middle row when not given.
-    sigma
-        Also write the standard uncertainty of the height, as NAME.sigma.FORM, where a format holds one surface a
-        file. gwy, tiff, npz and csv always hold it with the heights.
     semicolon
         Write csv with semicolons and decimal commas, for spreadsheets of languages with a decimal comma.
     overwrite

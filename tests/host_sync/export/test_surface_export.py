@@ -313,6 +313,12 @@ def test_a_raw_frame_is_written_where_a_scan_has_no_result(
     assert "reconstruct" in said.err
 
 
-def test_the_help_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_names_every_format_and_those_of_one_layer(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "--help"]) == 0
-    assert set(FORMATS) <= set(re.findall(r"\w+", capsys.readouterr().out.partition("[choices:")[2]))
+    words = " ".join(re.findall(r"[^\s│]+", capsys.readouterr().out))
+    choices, of_sigma = (
+        words.partition("[choices: ")[2],
+        words.partition("for formats that hold one surface a file: ")[2],
+    )
+    assert set(FORMATS) <= set(re.findall(r"\w+", choices.partition("]")[0]))
+    assert set(of_sigma.partition(".")[0].split()) == {name for name, form in FORMATS.items() if form.one_layer}
