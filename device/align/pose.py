@@ -1,4 +1,4 @@
-"""Rigid motions in the plane: where a place of one press lies in another, or in a mosaic.
+"""Poses in the plane: where a place of one press lies in another, or in a mosaic.
 
 Places are (row, column) from the middle of a press, in any one unit of length. A turn is clockwise on the screen.
 """
@@ -25,7 +25,7 @@ def turning(turn: float) -> Float64Array:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Motion from places u of one press to places s + M(turn) u of another; also of a press to the mosaic.
+    """Shift and turn that lead from places u of one press to places s + M(turn) u of another, or of a mosaic.
 
     down, right : the shift s, in the unit of the places, mostly px
     turn : rad
@@ -40,12 +40,12 @@ class Pose:
         return np.asarray(places) @ turning(self.turn).T + (self.down, self.right)
 
     def then(self, other: Pose) -> Pose:
-        """Return this motion and the other after it."""
+        """Return this pose and the other after it as one."""
         down, right = other.of((self.down, self.right))
         return Pose(float(down), float(right), self.turn + other.turn)
 
     def back(self) -> Pose:
-        """Return the inverse motion."""
+        """Return the inverse pose."""
         return Pose(-self.down, -self.right).then(Pose(turn=-self.turn))
 
     def moved_by(self, down: float, right: float, turn: float = 0.0) -> Pose:
@@ -53,11 +53,11 @@ class Pose:
         return Pose(float(self.down + down), float(self.right + right), float(self.turn + turn))
 
     def in_units_of(self, length: float) -> Pose:
-        """Return the same motion of places in another unit, given in the present one."""
+        """Return the same pose of places in another unit, whose length is given in the present one."""
         return Pose(float(self.down / length), float(self.right / length), self.turn)
 
     def distance(self, other: Pose, reach: float) -> float:
-        """Return the largest distance between the places of a point by either motion, to first order.
+        """Return the largest distance between the places of a point by either pose, to first order.
 
         reach : distance of the farthest point from the middle
         """

@@ -159,11 +159,11 @@ class Target:
             if best == 1:
                 place = replace(place, pose=place.pose.moved_by(0.0, 0.0, step * _vertex(tried)))
                 step *= 0.5
-        down, right = (
-            _vertex([self._judged(place.pose.moved_by(at * axis, at * (1 - axis)), slopes) for at in (-1, 0, 1)])
-            for axis in (1, 0)
+        middle = self._judged(place.pose, slopes)
+        up, down, left, right = (
+            self._judged(place.pose.moved_by(*step_px), slopes) for step_px in ((-1, 0), (1, 0), (0, -1), (0, 1))
         )
-        return replace(place, pose=place.pose.moved_by(down, right))
+        return replace(place, pose=place.pose.moved_by(_vertex([up, middle, down]), _vertex([left, middle, right])))
 
 
 def _vertex(places: list[_Judged]) -> float:

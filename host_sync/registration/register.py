@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from device.align.pose import Pose
-from device.align.search import PlaceSearch, relief_slopes
+from device.align.search import Complex, PlaceSearch, relief_slopes
 from device.surface.fields import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
@@ -275,18 +275,20 @@ def _starts(
     small = [reduced(z_um, step) for z_um in (first, second)]
     found = [(Pose(), "as they lie")]
     for by, maps in (("relief", small), ("rim", [_rim(z_um) for z_um in small])):
+        slopes = [relief_slopes(z_um)[0] for z_um in maps]
         for turns_deg, count in ((TURNS_DEG, KEPT), ((0,), 1)):
-            found += [(pose, by) for pose in _poses(maps, step, turns_deg, count)]
+            found += [(pose, by) for pose in _poses(slopes, step, turns_deg, count)]
     if frames is not None:
         step = -(-max(frames[0].shape) // TEXTURE_PX)
         textures = [np.log(np.maximum(reduced(frame, step), np.float32(1e-4))) for frame in frames]
-        found += [(pose, "texture") for pose in _poses(textures, step, (0,), TEXTURE_KEPT)]
+        slopes = [relief_slopes(texture)[0] for texture in textures]
+        found += [(pose, "texture") for pose in _poses(slopes, step, (0,), TEXTURE_KEPT)]
     return found
 
 
-def _poses(maps: list[Float32Array], step: int, turns_deg: tuple[int, ...], count: int) -> list[Pose]:
+def _poses(slopes: list[Complex], step: int, turns_deg: tuple[int, ...], count: int) -> list[Pose]:
     """Return the best poses by the slopes of two maps that are reduced by `step`, px of the first."""
-    one, other = (relief_slopes(z_um)[0] for z_um in maps)
+    one, other = slopes
     search = PlaceSearch(np.maximum(one.shape, other.shape).tolist(), turns_deg, MIN_OVERLAP)
     # A registration counts from where the first's middle lies in the second when both lie corner on corner.
     middle = [0.5 * step * (there - here) for here, there in zip(one.shape, other.shape, strict=True)]

@@ -34,7 +34,7 @@ def at_pitch(height: HeightMap, pitch_um: float) -> Float32Array:
 
 
 def moved(small: Float32Array, pose: Pose, shape: tuple[int, ...], step: int) -> Float32Array:
-    """Return the second map at the pixels of the first; NaN outside it and beside its holes.
+    """Return the second map at the pixels of the first; NaN outside it and next to its holes.
 
     small : the second map, reduced by `step`
     pose : of the second, px of the first, from where the first's middle lies when both lie corner on corner

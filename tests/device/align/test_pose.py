@@ -1,4 +1,4 @@
-"""Rigid motions: composition, inverse and units."""
+"""Poses: composition, inverse and units."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ def test_a_quarter_turn_clockwise_leads_from_right_to_down() -> None:
     assert Pose(turn=0.5 * np.pi).of((1.0, 0.0)) == pytest.approx((0.0, -1.0))
 
 
-def test_one_motion_after_another_and_back() -> None:
+def test_one_pose_after_another_and_back() -> None:
     assert np.allclose(ONE.then(OTHER).of(PLACES), OTHER.of(ONE.of(PLACES)))
     assert np.allclose(ONE.back().of(ONE.of(PLACES)), PLACES)
     assert ONE.then(ONE.back()).distance(Pose(), 100.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_same_motion_in_another_unit() -> None:
+def test_the_same_pose_in_another_unit() -> None:
     assert np.allclose(4.0 * ONE.in_units_of(4.0).of(PLACES / 4.0), ONE.of(PLACES))
 
 

@@ -18,12 +18,12 @@ SIGMA_PX = 0.05
 SIGMA_TURN = 3e-4
 
 
-def link_of(first: int, second: int, motion: Pose, random: np.random.Generator) -> Link:
+def link_of(first: int, second: int, pose: Pose, random: np.random.Generator) -> Link:
     """A link as a verified overlap gives it."""
-    here = -0.5 * np.array([motion.down, motion.right])
-    there = motion.of(here) + random.normal(0.0, SIGMA_PX, 2)
+    here = -0.5 * np.array([pose.down, pose.right])
+    there = pose.of(here) + random.normal(0.0, SIGMA_PX, 2)
     covariance = np.diag([SIGMA_PX**2, SIGMA_PX**2, SIGMA_TURN**2])
-    return Link(first, second, here, there, motion.turn + random.normal(0.0, SIGMA_TURN), covariance, 0.97, 0.3)
+    return Link(first, second, here, there, pose.turn + random.normal(0.0, SIGMA_TURN), covariance, 0.97, 0.3)
 
 
 def grid_links(truth: list[Pose], columns: int, random: np.random.Generator) -> list[Link]:
