@@ -47,6 +47,10 @@ REST_WIDTH: Final = 0.06
 """Distance of an intensity from untouched skin's at which a quarter of its reading is still taken off."""
 
 REST_NODES: Final = 25
+STEEPER_THAN_BALLS: Final = 1.5
+"""Slope, relative to the steepest of the balls, that no pixel's exceeds: where no ball was, curves run to any value.
+Corners without one gave heights of 75 mm (wyh5625/gelsight, eight presses, 349 x 240 pixels of 100 µm)."""
+
 _BLOCK_ROWS: Final = 64
 
 
@@ -79,6 +83,11 @@ class InverseMap:
     root: RootCurve | None = None
     noise_bias: Float32Array | None = None
     rest_bump: Float32Array | None = None
+
+    @property
+    def steepest_read(self) -> float:
+        """Slope that no pixel's exceeds."""
+        return STEEPER_THAN_BALLS * self.max_trained_slope
 
     @property
     def own(self) -> FeatureRegressor:
@@ -185,13 +194,17 @@ class InverseMap:
         if self.noise_bias is not None:
             mean -= rows_between_nodes(self.noise_bias, across, down)
         _, excess = self.curve.colours.variables(values)
-        return np.asarray(slope_from_stereographic(mean), np.float32), excess, spread
+        return np.asarray(slope_from_stereographic(mean, self.steepest_read), np.float32), excess, spread
 
     def predict(self, intensity: Float32Array, column: Float32Array, row: Float32Array) -> Float64Array:
         """Return slopes of shape (N, 2) for intensities of shape (N, 3) of single pixels at full-size coordinates."""
         place = field_position(column.astype(np.float64), row.astype(np.float64), self.shape)
+        return slope_from_stereographic(self.stereographic_of_noisy(intensity, place), self.steepest_read)
+
+    def stereographic_of_noisy(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
+        """Return the stereographic slopes (N, 2) of single pixels' intensities (N, 3) at position variables (N, 2)."""
         u = self.stereographic_at(intensity, place)
-        return slope_from_stereographic(u if self.noise_bias is None else u - between_nodes(self.noise_bias, place))
+        return u if self.noise_bias is None else u - between_nodes(self.noise_bias, place)
 
     def stereographic_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
         """Return the stereographic slopes (N, 2) of intensities (N, 3) without noise at position variables (N, 2)."""

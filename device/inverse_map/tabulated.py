@@ -31,6 +31,7 @@ from device.inverse_map.polynomial_features import (
     position_exponents,
 )
 from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
+from device.surface.stereographic import stereographic_size
 
 BINS: Final = 64
 """Bins a channel: 6 tables of 2 MB, few of whose lines a frame touches."""
@@ -59,6 +60,7 @@ class TabulatedInverseMap:
     terms : for each of them its table of u, float32 array of shape (BINS³, 2)
     across : powers of the columns' position, each column once for either component of u: float32 array (K, 2 W)
     down : powers of the rows' position, float32 array of shape (K, H, 1)
+    steepest : slope that no pixel's exceeds
     """
 
     colours: FeatureScaler
@@ -68,6 +70,7 @@ class TabulatedInverseMap:
     terms: tuple[Float32Array, ...]
     across: Float32Array
     down: Float32Array
+    steepest: float
 
     @classmethod
     def of(cls, inverse_map: InverseMap, binning: int) -> TabulatedInverseMap:
@@ -85,6 +88,7 @@ class TabulatedInverseMap:
             tuple(position_exponents(POSITION_DEGREE)[k] for k in kept),
             tuple(np.ascontiguousarray(terms[k].T) for k in kept),
             *_place_powers(inverse_map.shape, binning),
+            inverse_map.steepest_read,
         )
 
     def resized(self, shape: tuple[int, int], binning: int) -> TabulatedInverseMap:
@@ -96,15 +100,19 @@ class TabulatedInverseMap:
         """Return the slope, validity and relative confidence of every pixel, as the map itself would give them."""
         p, q = (np.empty(image.shape, np.float32) for _ in range(2))
         outside = np.empty(image.shape, np.bool_)
+        largest = np.float32(stereographic_size(self.steepest) ** 2)
         for first in range(0, len(p), BAND_ROWS):
             band = slice(first, first + BAND_ROWS)
             index, outside[band] = self._bins(image.values[band])
             u = self._sum(index, self.down[:, band])
             square = u * u
             scale: Float32Array = square[:, 0::2] + square[:, 1::2]
-            np.minimum(scale, np.float32(3.61), out=scale)
+            # Steeper slopes keep their direction: u is divided by its size over the limit too.
+            beyond = np.sqrt(np.maximum(scale, largest) / largest)
+            np.minimum(scale, largest, out=scale)
             scale *= np.float32(-0.25)
             scale += np.float32(1.0)
+            scale *= beyond
             np.divide(u[:, 0::2], scale, out=p[band])
             np.divide(u[:, 1::2], scale, out=q[band])
         valid, weight = self._trust(image, outside)

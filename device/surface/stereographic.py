@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def slope_from_stereographic(u: NDArray[Any]) -> NDArray[Any]:
-    """(p, q) of shape (..., 2) from stereographic slopes; |u| is clamped to 1.9 (slope 19.5)."""
-    square = np.minimum((u * u).sum(axis=-1, keepdims=True), 3.61)
-    return np.asarray(u / (1.0 - 0.25 * square))
+def slope_from_stereographic(u: NDArray[Any], steepest: float = 20.0) -> NDArray[Any]:
+    """Return slopes (p, q) of shape (..., 2) from stereographic slopes; steeper ones become as steep as `steepest`."""
+    size, largest = np.sqrt((u * u).sum(axis=-1, keepdims=True)), stereographic_size(steepest)
+    slope = u / (1.0 - 0.25 * np.minimum(size, largest) ** 2)
+    return np.asarray(np.where(size > largest, steepest * u / np.maximum(size, largest), slope), u.dtype)
+
+
+def stereographic_size(steepness: float) -> float:
+    """Return the size of the stereographic slope of a slope."""
+    return 2.0 * steepness / (1.0 + float(np.sqrt(1.0 + steepness * steepness)))
 
 
 def stereographic_from_slope(p: NDArray[Any], q: NDArray[Any]) -> NDArray[Any]:

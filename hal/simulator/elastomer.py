@@ -22,7 +22,7 @@ MAX_COMPRESSION: Final = 0.6
 
 _NOTHING: Final = np.float32(-1e3)
 _DAMPING: Final = 0.8
-_CROSS: Final = ((0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+_CROSS: Final = np.array(((0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 0.0)), np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,19 +114,27 @@ def _residual(values: Float32Array, load: Float32Array, free: Float32Array, stif
 def _relax(height: Float32Array, stiffness: float, obstacle: Float32Array) -> Float32Array:
     """Return one projected, damped Jacobi sweep."""
     factor = _DAMPING * stiffness / (1.0 + 4.0 * stiffness)
-    return np.maximum(_neighbours(height) * np.float32(factor) + np.float32(1.0 - _DAMPING) * height, obstacle)
+    moved = _neighbours(height)
+    moved *= np.float32(factor)
+    moved += np.float32(1.0 - _DAMPING) * height
+    return np.maximum(moved, obstacle, out=moved)
 
 
 def _relax_free(error: Float32Array, residual: Float32Array, free: Float32Array, stiffness: float) -> Float32Array:
     """Return one damped Jacobi sweep of the free cells."""
     factor = np.float32(_DAMPING / (1.0 + 4.0 * stiffness))
-    pulled = (_neighbours(error) * np.float32(stiffness) + residual) * factor
-    return (pulled + np.float32(1.0 - _DAMPING) * error) * free
+    moved = _neighbours(error)
+    moved *= np.float32(stiffness)
+    moved += residual
+    moved *= factor
+    moved += np.float32(1.0 - _DAMPING) * error
+    moved *= free
+    return moved
 
 
 def _neighbours(values: Float32Array) -> Float32Array:
     """Return the sum of the four neighbours, without flux through the border."""
-    summed = cv2.filter2D(values, -1, np.array(_CROSS, np.float32), borderType=cv2.BORDER_REPLICATE)
+    summed = cv2.filter2D(values, -1, _CROSS, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(summed, np.float32)
 
 

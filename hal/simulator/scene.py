@@ -324,16 +324,18 @@ def _march(
     step_column, step_row = away_x / across, away_y / across
     clearance = np.full_like(height, np.inf)
     reach_cells = float(np.ptp(height)) / float(rise.min()) / cell_mm + 2.0
+    at_column, at_row, clear = np.empty_like(height), np.empty_like(height), np.empty_like(height)
     # The nearest cells are left to the cosine law: there the steps of the grid itself would cast shadows.
     for cells in np.arange(2.0, reach_cells + 1.0, 1.0, dtype=np.float32):
-        met = cv2.remap(
-            height,
-            column + cells * step_column,
-            row + cells * step_row,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        np.minimum(clearance, rise + (height - met) / (cells * np.float32(cell_mm)), out=clearance)
+        np.multiply(step_column, cells, out=at_column)
+        np.multiply(step_row, cells, out=at_row)
+        at_column += column
+        at_row += row
+        cv2.remap(height, at_column, at_row, cv2.INTER_LINEAR, clear, cv2.BORDER_REPLICATE)
+        np.subtract(height, clear, out=clear)
+        clear /= cells * np.float32(cell_mm)
+        clear += rise
+        np.minimum(clearance, clear, out=clearance)
     half_angle = np.float32(light_radius_mm) / np.hypot(across, np.float32(light_mm[2]) - height)
     return np.asarray(np.clip(0.5 + 0.5 * clearance / half_angle, 0.0, 1.0), np.float32)
 

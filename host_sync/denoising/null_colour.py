@@ -75,9 +75,9 @@ class NullColour:
 
         seen, shrunk : float32 arrays of shape (N, 3), intensities as seen and with their noise shrunk
         """
-        u = stereographic_from_slope(*inverse_map.predict(seen, column, row).T)
         place = field_position(column.astype(np.float64), row.astype(np.float64), inverse_map.shape)
-        return slope_from_stereographic(u - self.noise(u, place, seen - shrunk))
+        u = inverse_map.stereographic_of_noisy(seen, place)
+        return slope_from_stereographic(u - self.noise(u, place, seen - shrunk), inverse_map.steepest_read)
 
 
 def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: FrameNoise) -> NullColour | None:

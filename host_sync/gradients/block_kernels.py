@@ -287,12 +287,14 @@ def _add_powers(across: Any, first: Any, second: Any, third: Any, out: Any) -> N
 
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
-def take_slopes(run: Any) -> None:
-    """Write slopes from the curves' mean u."""
+def take_slopes(run: Any, largest: Any) -> None:
+    """Write slopes from the curves' mean u, those of a larger square of u than `largest` as steep as of this."""
     u_across, u_down, p, q = run[_SUM], run[_SUM + 1], run[SLOPE], run[SLOPE + 1]
     for k in range(p.size):
         square = u_across[k] * u_across[k] + u_down[k] * u_down[k]
-        rescale = ONE / (ONE - np.float32(0.25) * min(square, np.float32(3.61)))
+        rescale = ONE / (ONE - np.float32(0.25) * min(square, largest))
+        if square > largest:
+            rescale *= np.sqrt(largest / square)
         p[k] = u_across[k] * rescale
         q[k] = u_down[k] * rescale
 

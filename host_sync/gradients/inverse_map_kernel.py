@@ -17,6 +17,7 @@ from device.inverse_map.near_light import PLACE_DEGREE, rows_between_nodes
 from device.inverse_map.polynomial_features import colour_exponents, position_exponents
 from device.inverse_map.regressor import FeatureRegressor
 from device.surface.fields import Float32Array, GradientField, MaskArray
+from device.surface.stereographic import stereographic_size
 from host_sync.denoising.null_colour import NullColour
 from host_sync.gradients.block_kernels import (
     EXCESS,
@@ -85,6 +86,7 @@ class SlopeKernel:
         self._out = out
         self._null_colour = None if null_colour is None else _by_output(null_colour)
         self._limit = np.float32(0.0 if null_colour is None else null_colour.limit)
+        self._largest = np.float32(stereographic_size(inverse_map.steepest_read) ** 2)
         light, near, root = inverse_map.light, inverse_map.near, inverse_map.root
         self._limits = _limits(inverse_map.curve)
         self._own = _tabled(inverse_map.own, inverse_map.own_fraction)
@@ -126,6 +128,7 @@ class SlopeKernel:
             *as_stored(quiet.values),
             null_colour,
             self._limit,
+            self._largest,
             out.p,
             out.q,
             out.weight,
@@ -222,7 +225,7 @@ def _evaluate(
     values: Float32Array, by_plane: bool, usable: MaskArray, clipped: MaskArray, limits: Float32Array,
     own: _Curve, near: Float32Array, min_volume: np.float32, lit: _Curve, light: Float32Array, root: _Curve,
     rest: Float32Array, bias: Float32Array, bump: Float32Array,
-    quiet: Float32Array, quiet_by_plane: bool, null_colour: Float32Array, limit: np.float32,
+    quiet: Float32Array, quiet_by_plane: bool, null_colour: Float32Array, limit: np.float32, largest: np.float32,
     p: Float32Array, q: Float32Array, weight: Float32Array, valid: MaskArray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
@@ -237,6 +240,7 @@ def _evaluate(
     bump : minus what they read where intensity is 1, likewise, or empty: nothing
     quiet, quiet_by_plane : the image with its noise shrunk
     null_colour, limit : of that noise, as of `_by_output`, or empty: noise stays
+    largest : square of the stereographic slope that no pixel's exceeds
     """
     rows, columns = p.shape
     length = run_length(columns)
@@ -293,7 +297,7 @@ def _evaluate(
                 take_off_noise(
                     seen, shrunk, null_colour[..., 0] + down * null_colour[..., 2], null_colour[..., 1], limit, run
                 )
-            take_slopes(run)
+            take_slopes(run, largest)
             _store(
                 run, usable[row, part], clipped[row, part], p[row, part], q[row, part], weight[row, part],
                 valid[row, part],

@@ -105,7 +105,8 @@ def fit_light(
     source_sigma = bundle.held_out_sigma(found)
     plain, polynomial = _with_residual(bundle, bundle.without_sources(found))
     bundle, found = _with_residual(bundle, found)
-    if bundle.held_out(found) > MIN_GAIN ** len(found.place) * plain.held_out(polynomial):
+    is_better = bundle.held_out(found) <= MIN_GAIN ** len(found.place) * plain.held_out(polynomial)
+    if not (is_better and bundle.model(found).lights_field):
         # A ball shows each tilt at one elevation: without sources, the two cannot be separated.
         source_sigma = np.sqrt(np.square(bundle.intensity - 1.0).mean(axis=0))
         bundle, found = _with_residual(bundle, bundle.without_sources(found), "normals")

@@ -40,6 +40,9 @@ BEYOND: Final = 0.05
 Position = tuple[float, float, float]
 """Place of a source: right, down and up from the middle of the field on skin at rest, mm."""
 
+DARK: Final = 0.01
+"""Light of skin at rest, relative to the median over the field, below which a place counts as dark."""
+
 WORK: Final = 64
 """Pixels of a field whose kernels take as long as the light of one place."""
 
@@ -101,6 +104,13 @@ class LightModel:
         """Return the light of skin at rest: shape (N, C)."""
         level = np.zeros_like(x)
         return self.mixed(self.light(level, level, x, y, level))
+
+    @property
+    def lights_field(self) -> bool:
+        """True where no channel leaves a part of the field dark, as no reference does."""
+        across, down = (part.ravel() for part in np.meshgrid(*(np.linspace(-0.5, 0.5, 9),) * 2))
+        rest = self.rest(across, down * self.shape[0] / self.shape[1])
+        return bool((rest > DARK * np.median(rest, axis=0)).all())
 
     def mixed(self, light: Float64Array) -> Float64Array:
         """Return what every channel shows of the sources' light (N, S): shape (N, C)."""

@@ -83,6 +83,22 @@ def test_validity_and_confidence_are_those_of_the_map(
         assert np.isfinite(found.q).all()
 
 
+def test_no_slope_exceeds_that_of_the_balls_by_more_than_half(inverse_map: InverseMap) -> None:
+    bounded = replace(inverse_map, max_trained_slope=0.1)
+    image = image_of(np.random.default_rng(1).uniform(0.6, 1.5, (*SHAPE, 3)))
+    table = TabulatedInverseMap.of(bounded, BINNING).gradients(image)
+    column, row = (2.0 * axis.ravel() + 0.5 for axis in np.meshgrid(np.arange(SHAPE[1]), np.arange(SHAPE[0])))
+    pixels = image.values.reshape(-1, 3), column.astype(np.float32), row.astype(np.float32)
+    slopes, free = bounded.predict(*pixels), inverse_map.predict(*pixels)
+    steep = np.linalg.norm(free, axis=1) > 0.15
+    assert 0.2 < steep.mean() < 1.0
+    for p, q in (slopes.T, (table.p.ravel(), table.q.ravel())):
+        assert np.hypot(p, q).max() == pytest.approx(0.15, rel=1e-4)
+    np.testing.assert_array_equal(slopes[~steep], free[~steep])
+    kept = np.linalg.norm(free[steep], axis=1, keepdims=True)
+    np.testing.assert_allclose(slopes[steep], 0.15 * free[steep] / kept, rtol=1e-6)
+
+
 def test_untouched_skin_has_no_step_of_a_bin(inverse_map: InverseMap, table: TabulatedInverseMap) -> None:
     """Intensity 1 is the centre of a bin: no bias over the largest part of every scan."""
     flat = image_of(np.ones((*SHAPE, 3)))

@@ -156,3 +156,12 @@ def test_sources_are_believed_as_far_as_they_alone_determine_slopes() -> None:
     assert believed[-1] < 1e-3
     with_residual = replace(EVERYTHING, residual=0.0 * EVERYTHING.residual)
     assert EVERYTHING.believed_fraction(0.05) == with_residual.believed_fraction(0.05)
+
+
+def test_sources_that_leave_a_part_of_the_field_dark_are_found() -> None:
+    assert MATT.lights_field
+    assert EVERYTHING.lights_field
+    behind = MATT.sources.copy()
+    behind[0, :3] = -0.2, 0.0, 0.05  # over the field, its beam turned to the middle: skin behind it gets none
+    assert not replace(MATT, sources=behind, beam=1.0).lights_field
+    assert not replace(MATT, strengths=np.zeros((3, 3))).lights_field
