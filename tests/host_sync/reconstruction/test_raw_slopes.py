@@ -93,6 +93,7 @@ def test_raw_slopes_are_quieter_with_the_null_colour(ring_calibration: Calibrati
         assert abs(float((getattr(better.gradients, axis) - getattr(plain.gradients, axis)).mean())) < 1e-3
 
 
+@pytest.mark.slow
 def test_shrunk_detail_does_not_change(ring_calibration: Calibration) -> None:
     noise = noise_of(0)
     calibration = that_knows_noise(ring_calibration, noise)
