@@ -13,7 +13,6 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from device.inverse_map.model import STEEPER_THAN_BALLS
 from device.inverse_map.skin_at_rest import RESTING
 from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.integration.integrate import Integrator
@@ -147,13 +146,10 @@ class Cells:
         """Return what `start` gains, shape (N, 2): all that sources predict, of the rest the confirmed fraction.
 
         Sources predict what elevation and light from other skin change, and that the inverse map is wrong in shadow.
-        No slope exceeds what the inverse map may read.
         """
         certain = (1.0 - confirmed) * (1.0 - found.shadow[:, None])
         expected = self.start - self.believed * found.misread
         slope = found.slope - certain * (found.slope - expected)
-        steep = np.linalg.norm(slope, axis=1, keepdims=True) / (STEEPER_THAN_BALLS * self.model.steepest)
-        slope /= np.maximum(steep, 1.0)
         return np.where(self.faithful[:, None], slope - self.start, 0.0)
 
     def _search(self, found: CellSlopes, steps: int) -> CellSlopes:

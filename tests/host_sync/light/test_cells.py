@@ -9,7 +9,6 @@ import pytest
 from matt_light import matt_model
 from near_lamps import SHAPE
 
-from device.inverse_map.model import STEEPER_THAN_BALLS
 from host_sync.kernels.cell_rows import cell_px, middles_of_cells
 from host_sync.light.cells import Cells, CellSlopes
 from host_sync.light.model import LightModel
@@ -121,15 +120,3 @@ def test_the_light_of_cells_that_are_not_known_moves_nothing() -> None:
     )
     np.testing.assert_array_equal(one.slope, other.slope)
     assert not one.weight[unknown].any()
-
-
-def test_no_slope_exceeds_what_the_map_may_read() -> None:
-    cells = cells_with(MATT, TRUTH)
-    steep = replace(CellSlopes.level(cells), slope=100.0 * TRUTH)
-    slopes = cells.start + cells.confirmed_change(steep, 1.0)
-    limit = STEEPER_THAN_BALLS * MATT.steepest
-    assert np.linalg.norm(slopes, axis=1).max() == pytest.approx(limit)
-    unit = TRUTH / np.linalg.norm(TRUTH, axis=1, keepdims=True)
-    np.testing.assert_allclose(slopes[np.linalg.norm(100.0 * TRUTH, axis=1) > limit][0], limit * unit[0])
-    gentle = replace(steep, slope=0.5 * TRUTH)
-    np.testing.assert_allclose(cells.start + cells.confirmed_change(gentle, 1.0), 0.5 * TRUTH)
