@@ -47,6 +47,7 @@ REST_WIDTH: Final = 0.06
 """Distance of an intensity from untouched skin's at which a quarter of its reading is still taken off."""
 
 REST_NODES: Final = 25
+
 STEEPER_THAN_BALLS: Final = 1.5
 """Slope, relative to the steepest of the balls, that no pixel's exceeds: where no ball was, curves run to any value.
 Corners without one gave heights of 75 mm (wyh5625/gelsight, eight presses, 349 x 240 pixels of 100 µm)."""

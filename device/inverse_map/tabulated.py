@@ -107,12 +107,12 @@ class TabulatedInverseMap:
             u = self._sum(index, self.down[:, band])
             square = u * u
             scale: Float32Array = square[:, 0::2] + square[:, 1::2]
-            # Steeper slopes keep their direction: u is divided by its size over the limit too.
-            beyond = np.sqrt(np.maximum(scale, largest) / largest)
+            steep = np.flatnonzero(scale > largest)
+            beyond = np.sqrt(scale.flat[steep] / largest)
             np.minimum(scale, largest, out=scale)
             scale *= np.float32(-0.25)
             scale += np.float32(1.0)
-            scale *= beyond
+            scale.flat[steep] *= beyond  # these keep their direction
             np.divide(u[:, 0::2], scale, out=p[band])
             np.divide(u[:, 1::2], scale, out=q[band])
         valid, weight = self._trust(image, outside)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 def slope_from_stereographic(u: NDArray[Any], steepest: float = 20.0) -> NDArray[Any]:
     """Return slopes (p, q) of shape (..., 2) from stereographic slopes; steeper ones become as steep as `steepest`."""
     size, largest = np.sqrt((u * u).sum(axis=-1, keepdims=True)), stereographic_size(steepest)
-    slope = u / (1.0 - 0.25 * np.minimum(size, largest) ** 2)
-    return np.asarray(np.where(size > largest, steepest * u / np.maximum(size, largest), slope), u.dtype)
+    held = largest / np.maximum(size, largest)
+    return np.asarray(held * u / (1.0 - 0.25 * np.minimum(size, largest) ** 2))
 
 
 def stereographic_size(steepness: float) -> float:

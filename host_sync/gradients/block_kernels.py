@@ -288,7 +288,7 @@ def _add_powers(across: Any, first: Any, second: Any, third: Any, out: Any) -> N
 
 @njit(cache=True, fastmath=_CONTRACT, error_model="numpy")
 def take_slopes(run: Any, largest: Any) -> None:
-    """Write slopes from the curves' mean u, those of a larger square of u than `largest` as steep as of this."""
+    """Write slopes from the curves' mean u; steeper ones than at the square of u `largest` are shortened to it."""
     u_across, u_down, p, q = run[_SUM], run[_SUM + 1], run[SLOPE], run[SLOPE + 1]
     for k in range(p.size):
         square = u_across[k] * u_across[k] + u_down[k] * u_down[k]
