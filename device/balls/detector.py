@@ -143,7 +143,7 @@ def find_balls(
             rejected.append(RejectedBall(s.column, s.row, reason))
         else:
             found.append(Ball(s.column, s.row, min(s.contact, MAX_CONTACT) * radius_px, radius_px))
-    if not found or (len(found) == 1 and found[0].contact_radius_px < APEX_RINGS * radius_px):
+    if shallow and (not found or (len(found) == 1 and found[0].contact_radius_px < APEX_RINGS * radius_px)):
         found = _find_shallow(image, radius_px, sightings, shallow) or found
     return BallSearch(tuple(found), tuple(rejected))
 
@@ -151,15 +151,19 @@ def find_balls(
 def _find_shallow(
     image: NormalizedImage, radius_px: float, whole: Sequence[_Sighting], fractions: Sequence[float]
 ) -> list[Ball]:
-    """Return the only ball of a press if its contact is that of a smaller ball, else an empty list.
+    """Return the only ball of a press that its contact, or its brightness, hid from the first search; or an empty list.
+
+    A contact as narrow as a smaller ball's is sought first; then any whose skin is brighter or darker than at rest, as
+    another exposure or a deep press makes it.
 
     whole : what is seen in rings of the whole radius
     fractions : radii of smaller balls as fractions of the radius, in the order in which they are tried
     """
     uneven = [(sighting, radius_px) for sighting in whole if _unevenness(sighting)]
-    for fraction in fractions:
+    for fraction, any_brightness in [*((f, False) for f in fractions), *((f, True) for f in (1.0, *fractions))]:
         window_px = fraction * radius_px
-        sightings = _look(image, window_px, ()) if window_px >= MIN_RADIUS_PX else []
+        sightings = _look(image, window_px, (), any_brightness=any_brightness) if window_px >= MIN_RADIUS_PX else []
+        uneven += [(sighting, window_px) for sighting in sightings if _unevenness(sighting)]
         alone = _alone(sightings, image.shape, window_px)
         if alone is not None:
             one = sightings[alone]
@@ -167,7 +171,6 @@ def _find_shallow(
             part = any(np.hypot(one.column - u.column, one.row - u.row) < PART_OF * size for u, size in uneven)
             too_small = contact_px < MIN_SHALLOW * radius_px
             return [] if part or too_small else [Ball(one.column, one.row, contact_px, radius_px)]
-        uneven += [(sighting, window_px) for sighting in sightings if _unevenness(sighting)]
     return []
 
 
@@ -198,13 +201,15 @@ class _Sighting:
     rings: RadialProfiles
 
 
-def _look(image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]]) -> list[_Sighting]:
+def _look(
+    image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]], *, any_brightness: bool = False
+) -> list[_Sighting]:
     """Return every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
     coarse = reduce_intensity(image, radius_px / CANDIDATE_RADIUS_PX)
     fine = reduce_intensity(image, radius_px / REFINE_RADIUS_PX)
     reduced_radius = radius_px / fine.columns_per_pixel
     circles: list[Float64Array] = []
-    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel)
+    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel, any_brightness=any_brightness)
     for place in [(candidate.column, candidate.row) for candidate in candidates] + list(expected):
         circle = find_circle(fine, *fine.from_full(*place), reduced_radius)
         if not any(np.hypot(*(circle - other)) < reduced_radius for other in circles):

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.imaging.flat_field import NormalizedImage
+from device.imaging.flat_field import MAX_DISAGREEMENT, NormalizedImage
 from device.surface.fields import Float32Array, Float64Array
 
 RING_INNER: Final = 0.2
@@ -284,9 +284,13 @@ def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
     return ReducedIntensity(deviation, np.asarray(weight, np.float32), columns / size[0], rows / size[1])
 
 
-def find_candidates(reduced: ReducedIntensity, radius_px: float) -> list[Candidate]:
-    """Return candidates, best first, at least one `radius_px` (in reduced pixels) apart."""
-    score = _ramp_score(reduced.deviation, radius_px)
+def find_candidates(reduced: ReducedIntensity, radius_px: float, *, any_brightness: bool = False) -> list[Candidate]:
+    """Return candidates, best first, at least one `radius_px` (in reduced pixels) apart.
+
+    any_brightness : the middle of a patch may be as much brighter or darker than the flat skin, in all channels alike,
+        as two frames of one calibration may be
+    """
+    score = _ramp_score(reduced.deviation, radius_px, any_brightness)
     reach = max(int(radius_px), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     rows, columns = np.nonzero((score >= cv2.dilate(score, disc)) & (score > MIN_SCORE))
@@ -296,21 +300,24 @@ def find_candidates(reduced: ReducedIntensity, radius_px: float) -> list[Candida
     return sorted(places, key=lambda place: -place.score)
 
 
-def _ramp_score(deviation: Float32Array, radius_px: float) -> Float32Array:
+def _ramp_score(deviation: Float32Array, radius_px: float, any_brightness: bool) -> Float32Array:
     """Return the fraction of each patch's deviation that ramps in two independent directions explain, shape (h, w)."""
     basis, disc = _patch_basis(PATCH * radius_px)
     area = float(disc.sum())
     gram: Float64Array = np.einsum("kyx,lyx,yx->kl", basis, basis, disc)
     inverse = np.linalg.inv(gram)
-    ramps, rest = [], np.zeros(deviation.shape[:2])
+    ramps, levels, rest = [], [], np.zeros(deviation.shape[:2])
     for channel in range(3):
         plane = np.ascontiguousarray(deviation[..., channel])
         moments = np.stack([_correlate(plane, kernel * disc) for kernel in basis])
         fit = np.einsum("kl,lyx->kyx", inverse, moments)
         energy = _correlate(plane * plane, disc)
         rest += np.maximum(energy - (moments * fit).sum(axis=0), 0.0) / area
-        rest += (fit[0] + 0.25 * (fit[3] + fit[5])) ** 2
+        levels.append(fit[0] + 0.25 * (fit[3] + fit[5]))
         ramps.append(fit[1:3])
+    level = np.stack(levels)
+    common = np.clip(level.mean(axis=0), -MAX_DISAGREEMENT, MAX_DISAGREEMENT) if any_brightness else 0.0
+    rest += ((level - common) ** 2).sum(axis=0)
     slopes = np.stack(ramps)
     across, down = (slopes[:, 0] ** 2).sum(axis=0), (slopes[:, 1] ** 2).sum(axis=0)
     both = (slopes[:, 0] * slopes[:, 1]).sum(axis=0)

@@ -19,11 +19,9 @@ MAX_CLIPPED: Final = 0.3
 REFERENCE_CLIPPED: Final = 0.1
 """A reference with a larger share saturated cannot be divided by."""
 
-MAX_DISAGREEMENT: Final = 0.25
-"""Untouched skin of two frames under the same lights agrees to this share, however the lights drift."""
-
 CLEAR_DISAGREEMENT: Final = 0.12
-"""Less than `MAX_DISAGREEMENT` is two sets of lights too where every frame has another that is twice as near."""
+"""Less than `flat_field.MAX_DISAGREEMENT` is two sets of lights too where every frame has another that is twice as
+near."""
 
 PITCH_GROSS_SHARE: Final = 0.05
 """A stated pixel pitch that a ball grid contradicts by more is refused; less is reported, the measured one used."""

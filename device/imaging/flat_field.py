@@ -34,6 +34,9 @@ BAND_ROWS: Final = 96
 BLACK_FRAME: Final = 0.01
 """A frame whose 99th percentile is below this fraction of full scale is black."""
 
+MAX_DISAGREEMENT: Final = 0.25
+"""Untouched skin of two frames under the same lights agrees to this share, however the lights drift."""
+
 EXPOSURE_STEP: Final = 8
 """Stride, in rows and columns, of the sample that tests exposure."""
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from device.calibration.limits import CLEAR_DISAGREEMENT, MAX_DISAGREEMENT, REFERENCE_CLIPPED
+from device.calibration.limits import CLEAR_DISAGREEMENT, REFERENCE_CLIPPED
 from device.errors import CalibrationMismatch, FrameError
-from device.imaging.flat_field import DARK_FLOOR, LinearFrame, NormalizedImage, check_exposed
+from device.imaging.flat_field import DARK_FLOOR, MAX_DISAGREEMENT, LinearFrame, NormalizedImage, check_exposed
 from device.surface.fields import Float32Array, Float64Array
 
 BLOCKS = 48

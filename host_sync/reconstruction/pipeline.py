@@ -49,7 +49,8 @@ class Reconstruction:
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either of them
     gradients : the slopes as estimated per pixel; of a camera nearby how they rise over pixels
     integration : what the solver reports
-    extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training data
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training data and the
+        skin is not known to be untouched
     clipped_share : share of pixels with a saturated channel
     frame_checks : what was checked of the frame, with figure and limit, and what could not be checked
     warnings : what speaks against the frame being of this calibration, or its heights having a zero; it was
@@ -126,6 +127,7 @@ def reconstruct(
     surface = _Surface.of(heights, slopes, resting, reading, noise, detail)
     intensity, inverse_map = reading.first.intensity, calibration.inverse.map
     strange = extrapolated(intensity, inverse_map, surface.p, surface.q, reading.first.meanwhile.result().strange)
+    strange &= ~heights.datum.untouched
     unsure = before_heights.result().unsure.with_unresolved(*slopes)
     kept, error = noise.shrunk_kept if noise else NOISE_KEPT, slope_error_of(calibration, reading.method)
     sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, unsure, kept)

@@ -2,7 +2,7 @@
 
 import os
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -236,6 +236,27 @@ def test_the_middle_of_an_oval_dent_is_no_shallow_press(stretch: float) -> None:
 
 def test_skin_at_rest_shows_no_shallow_press() -> None:
     assert find_balls(pressed(noise=0.02), RADIUS_PX, shallow=SHALLOW).found == ()
+
+
+DARKER = (0.77, 0.76, 0.78)
+"""Brightness of a frame's channels beside the reference's, as automatic exposure leaves it."""
+
+
+def test_a_ball_in_a_darker_frame_is_found_where_it_is_asked_for() -> None:
+    image = pressed((262.3, 189.7), contact=0.4, up_deg=(60.0, 60.0, 60.0))
+    darker = replace(image, values=image.values * np.float32(DARKER))
+    assert find_balls(darker, RADIUS_PX).found == ()
+    found = find_balls(darker, RADIUS_PX, shallow=SHALLOW).found
+    assert len(found) == 1
+    assert np.hypot(found[0].column - 262.3, found[0].row - 189.7) < 0.02 * RADIUS_PX
+    assert 0.85 * 0.4 < found[0].contact_radius_px / RADIUS_PX < 1.02 * 0.4
+
+
+@pytest.mark.parametrize("stretch", [0.0, 0.6, 1.7])
+def test_nothing_in_a_darker_frame_that_is_no_ball_is_found(stretch: float) -> None:
+    image = pressed((262.3, 189.7), stretch=stretch) if stretch else pressed(noise=0.02)
+    darker = replace(image, values=image.values * np.float32(DARKER))
+    assert find_balls(darker, RADIUS_PX, shallow=SHALLOW).found == ()
 
 
 def test_a_groove_is_no_ball() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from near_lamps import SHAPE, balls, press_px
@@ -33,6 +35,16 @@ def test_a_ball_stands_on_flat_skin(ring_calibration: Calibration) -> None:
     assert not found.datum.is_relative
     assert np.percentile(np.abs(found.height.z_um[free]), 95) < 0.01 * truth_um.max()
     assert abs(found.height.z_um.max() / truth_um.max() - 1.0) < 0.02
+
+
+def test_untouched_skin_is_not_extrapolated_wherever_the_balls_were(ring_calibration: Calibration) -> None:
+    inverse_map = ring_calibration.inverse.map
+    assert inverse_map.leverage is not None
+    few = replace(inverse_map, leverage=replace(inverse_map.leverage, trained=1e-9))
+    calibration = replace(ring_calibration, inverse=replace(ring_calibration.inverse, map=few))
+    found = reconstruct(lit_by_ring(press_px(*balls()[5]), 3, 501), calibration, "ball")
+    assert 0.1 < found.datum.skin.mean() < 0.9
+    assert np.array_equal(found.extrapolated, ~found.datum.skin)
 
 
 def test_noise_is_kept_where_that_is_asked(ring_calibration: Calibration) -> None:
