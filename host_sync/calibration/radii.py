@@ -129,15 +129,26 @@ def left_out(shares: Float64Array, at_most: float) -> MaskArray:
     """Return True for balls that are left out, `at_most` so many: bool array of shape (number of balls,).
 
     These are the ones that contradict the others, and after them the farthest from the median until the spread of the
-    rest is small enough. Where that takes too many, the first ones alone; where they are too many, none.
+    rest is small enough. Where that takes too many, it may be as large as by chance; where that does too, the first
+    ones alone are left out; where they are too many, none.
     """
     first = contradicts(shares)
+    choices = (
+        _farthest(shares, first, lambda _: MAX_RADIUS_SPREAD),
+        _farthest(shares, first, _largest_by_chance),
+        first,
+    )
+    return next((mask for mask in choices if mask.sum() <= at_most), np.zeros_like(first))
+
+
+def _farthest(shares: Float64Array, first: MaskArray, limit: Callable[[int], float]) -> MaskArray:
+    """Return `first` and the balls farthest from the median until the spread of n others is `limit(n)` at most."""
     out = first.copy()
     for ball in np.argsort(-np.nan_to_num(np.abs(shares / np.nanmedian(shares) - 1.0))):
-        if radius_spread(shares[~out]) <= MAX_RADIUS_SPREAD:
+        if radius_spread(shares[~out]) <= limit(int(np.isfinite(shares[~out]).sum())):
             break
         out[ball] = True
-    return next((mask for mask in (out, first) if mask.sum() <= at_most), np.zeros_like(out))
+    return out
 
 
 def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
@@ -152,14 +163,26 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
         Names the presses at both ends and what they read.
     """
     spread = radius_spread(shares)
-    if spread <= MAX_RADIUS_SPREAD:
+    limit = _largest_by_chance(int(np.isfinite(shares).sum()))
+    if spread <= limit:
         return
     small, large = owners[int(np.nanargmin(shares))], owners[int(np.nanargmax(shares))]
     raise CalibrationError(
         f"the balls' radii contradict each other: by their shading they are {np.nanmin(shares):.2f} ({small}) to "
-        f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {MAX_RADIUS_SPREAD:.0%}), "
+        f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {limit:.0%}), "
         "and too many stand out to be left out: check ball_radius_mm of each press"
     )
+
+
+def _largest_by_chance(balls: int) -> float:
+    """Return the spread that one in a hundred sets of so many balls exceeds by chance if all balls' is the limit.
+
+    The calibration of a set between the limit and this does not pass, but is not refused.
+    """
+    from scipy.special import chdtri  # here, because only calibrating needs it
+
+    degrees = max(balls - 1, 1)
+    return MAX_RADIUS_SPREAD * float(np.sqrt(chdtri(degrees, 0.01) / degrees))
 
 
 # The ball radius that shows in presses, where the stated one does not or none is known.

@@ -35,7 +35,7 @@ from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.consistency import check_agreement
 from host_sync.calibration.located_presses import detect_grid
-from host_sync.calibration.radii import contradicts, fit_to, left_out, radius_shares, radius_spread
+from host_sync.calibration.radii import check_radii, contradicts, fit_to, left_out, radius_shares, radius_spread
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0
@@ -205,6 +205,16 @@ def test_presses_farthest_from_the_others_go_until_the_rest_agrees_and_no_more_t
     assert not left_out(presses, at_most=1.0).any()
     assert left_out(np.append(presses, 2.0), at_most=1.0).nonzero()[0].tolist() == [13]
     assert not left_out(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3]), at_most=1.8).any()
+
+
+def test_few_balls_may_differ_by_chance_and_many_may_not() -> None:
+    names = [f"press-{k:02d}" for k in range(70)]
+    seven = 1.0 + 0.1 * np.array([-1.3, -0.9, -0.6, 0.0, 0.5, 0.9, 1.5])
+    assert radius_spread(seven) > 0.09
+    check_radii(seven, names)
+    for shares in (1.0 + 1.7 * (seven - 1.0), np.tile(1.0 + 1.2 * (seven - 1.0), 10)):
+        with pytest.raises(CalibrationError, match=r"radii contradict each other: .* \(press-00\) to .* \(press-06\)"):
+            check_radii(shares, names)
 
 
 def test_something_that_touches_the_skin_in_the_reference_is_named_with_its_place(usual: SimulatedScene) -> None:
