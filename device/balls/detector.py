@@ -120,7 +120,7 @@ def find_balls(
     expected : (column, row) of places to look at, whether a ball is suspected there or not
     name : of the press, for errors
     shallow : fractions of the radius in which a press that shows no ball, or a contact narrower than the rings of its
-        apex, is searched again
+        apex, is searched again, with another exposure allowed for too; without them it is searched once
 
     Raises
     ------
@@ -144,25 +144,25 @@ def find_balls(
         else:
             found.append(Ball(s.column, s.row, min(s.contact, MAX_CONTACT) * radius_px, radius_px))
     if shallow and (not found or (len(found) == 1 and found[0].contact_radius_px < APEX_RINGS * radius_px)):
-        found = _find_shallow(image, radius_px, sightings, shallow) or found
+        found = _search_again(image, radius_px, sightings, shallow) or found
     return BallSearch(tuple(found), tuple(rejected))
 
 
-def _find_shallow(
+def _search_again(
     image: NormalizedImage, radius_px: float, whole: Sequence[_Sighting], fractions: Sequence[float]
 ) -> list[Ball]:
-    """Return the only ball of a press that its contact, or its brightness, hid from the first search; or an empty list.
+    """Return the only ball of a press that the first search missed, else an empty list.
 
-    A contact as narrow as a smaller ball's is sought first; then any whose skin is brighter or darker than at rest, as
-    another exposure or a deep press makes it.
+    A contact as narrow as a smaller ball's is sought first, then one whose intensity differs from untouched skin's by
+    one factor in all channels: another exposure and a deep press cause that.
 
     whole : what is seen in rings of the whole radius
     fractions : radii of smaller balls as fractions of the radius, in the order in which they are tried
     """
     uneven = [(sighting, radius_px) for sighting in whole if _unevenness(sighting)]
-    for fraction, any_brightness in [*((f, False) for f in fractions), *((f, True) for f in (1.0, *fractions))]:
+    for fraction, common_factor in [*((f, False) for f in fractions), *((f, True) for f in (1.0, *fractions))]:
         window_px = fraction * radius_px
-        sightings = _look(image, window_px, (), any_brightness=any_brightness) if window_px >= MIN_RADIUS_PX else []
+        sightings = _look(image, window_px, (), common_factor=common_factor) if window_px >= MIN_RADIUS_PX else []
         uneven += [(sighting, window_px) for sighting in sightings if _unevenness(sighting)]
         alone = _alone(sightings, image.shape, window_px)
         if alone is not None:
@@ -202,14 +202,14 @@ class _Sighting:
 
 
 def _look(
-    image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]], *, any_brightness: bool = False
+    image: NormalizedImage, radius_px: float, expected: Sequence[tuple[float, float]], *, common_factor: bool = False
 ) -> list[_Sighting]:
     """Return every candidate and expected place with its contact and its centre, read with the whole frame's balls."""
     coarse = reduce_intensity(image, radius_px / CANDIDATE_RADIUS_PX)
     fine = reduce_intensity(image, radius_px / REFINE_RADIUS_PX)
     reduced_radius = radius_px / fine.columns_per_pixel
     circles: list[Float64Array] = []
-    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel, any_brightness=any_brightness)
+    candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel, common_factor=common_factor)
     for place in [(candidate.column, candidate.row) for candidate in candidates] + list(expected):
         circle = find_circle(fine, *fine.from_full(*place), reduced_radius)
         if not any(np.hypot(*(circle - other)) < reduced_radius for other in circles):

@@ -284,13 +284,13 @@ def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
     return ReducedIntensity(deviation, np.asarray(weight, np.float32), columns / size[0], rows / size[1])
 
 
-def find_candidates(reduced: ReducedIntensity, radius_px: float, *, any_brightness: bool = False) -> list[Candidate]:
+def find_candidates(reduced: ReducedIntensity, radius_px: float, *, common_factor: bool = False) -> list[Candidate]:
     """Return candidates, best first, at least one `radius_px` (in reduced pixels) apart.
 
-    any_brightness : the middle of a patch may be as much brighter or darker than the flat skin, in all channels alike,
-        as two frames of one calibration may be
+    common_factor : the mean of a patch may differ from untouched skin by one factor in all channels, as two frames of
+        one calibration may
     """
-    score = _ramp_score(reduced.deviation, radius_px, any_brightness)
+    score = _ramp_score(reduced.deviation, radius_px, common_factor)
     reach = max(int(radius_px), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     rows, columns = np.nonzero((score >= cv2.dilate(score, disc)) & (score > MIN_SCORE))
@@ -300,7 +300,7 @@ def find_candidates(reduced: ReducedIntensity, radius_px: float, *, any_brightne
     return sorted(places, key=lambda place: -place.score)
 
 
-def _ramp_score(deviation: Float32Array, radius_px: float, any_brightness: bool) -> Float32Array:
+def _ramp_score(deviation: Float32Array, radius_px: float, common_factor: bool) -> Float32Array:
     """Return the fraction of each patch's deviation that ramps in two independent directions explain, shape (h, w)."""
     basis, disc = _patch_basis(PATCH * radius_px)
     area = float(disc.sum())
@@ -316,8 +316,8 @@ def _ramp_score(deviation: Float32Array, radius_px: float, any_brightness: bool)
         levels.append(fit[0] + 0.25 * (fit[3] + fit[5]))
         ramps.append(fit[1:3])
     level = np.stack(levels)
-    common = np.clip(level.mean(axis=0), -MAX_DISAGREEMENT, MAX_DISAGREEMENT) if any_brightness else 0.0
-    rest += ((level - common) ** 2).sum(axis=0)
+    shared = np.clip(level.mean(axis=0), -MAX_DISAGREEMENT, MAX_DISAGREEMENT) if common_factor else 0.0
+    rest += ((level - shared) ** 2).sum(axis=0)
     slopes = np.stack(ramps)
     across, down = (slopes[:, 0] ** 2).sum(axis=0), (slopes[:, 1] ** 2).sum(axis=0)
     both = (slopes[:, 0] * slopes[:, 1]).sum(axis=0)

@@ -11,7 +11,8 @@ WORST_HELD_OUT_DEG: Final = 8.0
 """A calibration whose held-out balls are worse is refused."""
 
 MAX_RADIUS_SPREAD: Final = 0.08
-"""Standard deviation, over balls, of the radius that shading gives over the one stated; more is a disagreement."""
+"""Standard deviation, over balls, of the radius that shading gives over the one stated; more is a disagreement.
+A set of few balls is refused from a larger one on (`radii.check_radii`)."""
 
 MAX_CLIPPED: Final = 0.3
 """A ball with a larger share of its contact saturated is not used for training."""

@@ -128,21 +128,24 @@ def contradicts(shares: Float64Array) -> MaskArray:
 def left_out(shares: Float64Array, at_most: float) -> MaskArray:
     """Return True for balls that are left out, `at_most` so many: bool array of shape (number of balls,).
 
-    These are the ones that contradict the others, and after them the farthest from the median until the spread of the
-    rest is small enough. Where that takes too many, it may be as large as by chance; where that does too, the first
-    ones alone are left out; where they are too many, none.
+    The first of these choices that leaves out few enough:
+
+    * balls that contradict the others, then the farthest from the median until the spread of the rest is small enough;
+    * the same until the spread is as small as chance may make it;
+    * balls that contradict the others;
+    * none.
     """
     first = contradicts(shares)
     choices = (
-        _farthest(shares, first, lambda _: MAX_RADIUS_SPREAD),
-        _farthest(shares, first, _largest_by_chance),
+        _leave_out_farthest(shares, first, lambda _: MAX_RADIUS_SPREAD),
+        _leave_out_farthest(shares, first, _limit_by_chance),
         first,
     )
     return next((mask for mask in choices if mask.sum() <= at_most), np.zeros_like(first))
 
 
-def _farthest(shares: Float64Array, first: MaskArray, limit: Callable[[int], float]) -> MaskArray:
-    """Return `first` and the balls farthest from the median until the spread of n others is `limit(n)` at most."""
+def _leave_out_farthest(shares: Float64Array, first: MaskArray, limit: Callable[[int], float]) -> MaskArray:
+    """Return `first` and the farthest from the median until the spread of the n that are left is at most `limit(n)`."""
     out = first.copy()
     for ball in np.argsort(-np.nan_to_num(np.abs(shares / np.nanmedian(shares) - 1.0))):
         if radius_spread(shares[~out]) <= limit(int(np.isfinite(shares[~out]).sum())):
@@ -163,7 +166,7 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
         Names the presses at both ends and what they read.
     """
     spread = radius_spread(shares)
-    limit = _largest_by_chance(int(np.isfinite(shares).sum()))
+    limit = _limit_by_chance(int(np.isfinite(shares).sum()))
     if spread <= limit:
         return
     small, large = owners[int(np.nanargmin(shares))], owners[int(np.nanargmax(shares))]
@@ -174,15 +177,15 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     )
 
 
-def _largest_by_chance(balls: int) -> float:
-    """Return the spread that one in a hundred sets of so many balls exceeds by chance if all balls' is the limit.
+def _limit_by_chance(balls: int) -> float:
+    """Return the spread that one in a hundred sets of so many balls exceeds where the true one is `MAX_RADIUS_SPREAD`.
 
-    The calibration of a set between the limit and this does not pass, but is not refused.
+    The calibration of a set between `MAX_RADIUS_SPREAD` and this does not pass, but is not refused.
     """
     from scipy.special import chdtri  # here, because only calibrating needs it
 
     degrees = max(balls - 1, 1)
-    return MAX_RADIUS_SPREAD * float(np.sqrt(chdtri(degrees, 0.01) / degrees))
+    return MAX_RADIUS_SPREAD * float(np.sqrt(chdtri(degrees, 0.01) / (degrees + 1)))
 
 
 # The ball radius that shows in presses, where the stated one does not or none is known.

@@ -98,7 +98,7 @@ class Datum:
 
     @property
     def untouched(self) -> MaskArray:
-        """Untouched skin: bool array of shape (H, W), False everywhere in a relative height map."""
+        """The skin that is known to be untouched: `skin`, or none in a relative height map."""
         return np.zeros_like(self.skin) if self.is_relative else self.skin
 
     @property

@@ -239,7 +239,7 @@ def test_skin_at_rest_shows_no_shallow_press() -> None:
 
 
 DARKER = (0.77, 0.76, 0.78)
-"""Brightness of a frame's channels beside the reference's, as automatic exposure leaves it."""
+"""Intensity of untouched skin in three channels of a frame that automatic exposure made darker."""
 
 
 def test_a_ball_in_a_darker_frame_is_found_where_it_is_asked_for() -> None:

@@ -35,7 +35,15 @@ from host_sync.calibration.balls import GridSpacing, PressFrame, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.consistency import check_agreement
 from host_sync.calibration.located_presses import detect_grid
-from host_sync.calibration.radii import check_radii, contradicts, fit_to, left_out, radius_shares, radius_spread
+from host_sync.calibration.radii import (
+    FittingRadius,
+    check_radii,
+    contradicts,
+    fit_to,
+    left_out,
+    radius_shares,
+    radius_spread,
+)
 
 PITCH_UM = 48.0
 RADIUS_MM = 3.0
@@ -205,6 +213,18 @@ def test_presses_farthest_from_the_others_go_until_the_rest_agrees_and_no_more_t
     assert not left_out(presses, at_most=1.0).any()
     assert left_out(np.append(presses, 2.0), at_most=1.0).nonzero()[0].tolist() == [13]
     assert not left_out(np.array([0.7, 0.7, 0.7, 1.3, 1.3, 1.3]), at_most=1.8).any()
+
+
+def test_a_few_of_the_farthest_go_until_chance_explains_the_rest() -> None:
+    seven = np.array([0.88, 0.92, 0.96, 1.0, 1.11, 1.15, 1.4])
+    out = left_out(seven, at_most=2.1)
+    assert seven[out].tolist() == [1.4]
+    assert 0.08 < radius_spread(seven[~out]) < 0.12
+
+
+def test_one_radius_that_fits_is_named_once() -> None:
+    words = FittingRadius((200.0,), 5, 7).sentence(100.0, 124.0)
+    assert words.startswith("a radius of 200 px (20 mm at 100 µm a pixel) fits the balls that show in 5 of 7 presses")
 
 
 def test_few_balls_may_differ_by_chance_and_many_may_not() -> None:
