@@ -1,4 +1,7 @@
-"""Thresholds that a calibration must reach to be used, and those of its report, all in one place."""
+"""Thresholds that a calibration must reach to be used, and those of its report, all in one place.
+
+Only `flat_field.MAX_DISAGREEMENT` stands elsewhere, because the ball search uses it too.
+"""
 
 from __future__ import annotations
 

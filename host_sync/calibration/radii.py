@@ -216,10 +216,11 @@ class FittingRadius:
     def sentence(self, pitch_um: float, stated_px: float) -> str:
         """Return the sentence that compares it with the stated radius."""
         ends_px = sorted({self.radii_px[0], self.radii_px[-1]})
+        preposition = "from" if len(ends_px) > 1 else "of"
         in_px = " to ".join(f"{end_px:.0f}" for end_px in ends_px)
         in_mm = " to ".join(f"{end_px * pitch_um / 1e3:.2g}" for end_px in ends_px)
         return (
-            f"a radius {'of' if len(ends_px) == 1 else 'from'} {in_px} px ({in_mm} mm at "
+            f"a radius {preposition} {in_px} px ({in_mm} mm at "
             f"{pitch_um:g} µm a pixel) fits the balls that show in {self.presses} of {self.looked_at} presses, and "
             f"{stated_px:.3g} px ({stated_px * pitch_um / 1e3:.3g} mm) is stated"
         )

@@ -29,7 +29,8 @@ class SourceSurface:
     origin : program, calibration and doubts in one line of printable characters
     doubts : reasons to distrust the heights, one printable line each
     short_doubts : the same in a few words, for formats with little room
-    extrapolated : bool array of shape (H, W), True where a slope lies beyond the training samples; or None
+    extrapolated : bool array of shape (H, W), True where a slope lies beyond the training samples and
+        the skin is not known to be untouched; or None
     """
 
     name: str

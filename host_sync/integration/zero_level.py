@@ -97,11 +97,6 @@ class Datum:
     sinking_um: float = 0.0
 
     @property
-    def untouched(self) -> MaskArray:
-        """The skin that is known to be untouched: `skin`, or none in a relative height map."""
-        return np.zeros_like(self.skin) if self.is_relative else self.skin
-
-    @property
     def zero_sigma_um(self) -> float:
         """Standard uncertainty of the zero, µm: of the skin it is taken from, and of how much that sinks yet."""
         return self.zero_sigma_beside_um(0.0)

@@ -120,7 +120,8 @@ class ArealMeasurand:
     recipe : region, form, filters and parameters
     height : the whole height map
     places : of its pixels
-    extrapolated : bool array of shape (H, W), True where slopes lie beyond the calibration's training samples; or None
+    extrapolated : bool array of shape (H, W), True where slopes lie beyond the calibration's training samples and
+        skin is not known to be untouched; or None
 
     Attributes
     ----------

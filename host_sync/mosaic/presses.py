@@ -34,7 +34,7 @@ class Fields:
 
     z_um : float32, height, NaN where invalid
     sigma_um : float32, standard uncertainty of the height, NaN where invalid; None if unknown
-    extrapolated : bool, slopes beyond the calibration's; None if unknown
+    extrapolated : bool, slopes beyond the calibration's where skin is not known to be untouched; None if unknown
     """
 
     z_um: Float32Array

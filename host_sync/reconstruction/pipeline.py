@@ -127,8 +127,8 @@ def reconstruct(
     surface = _Surface.of(heights, slopes, resting, reading, noise, detail)
     intensity, inverse_map = reading.first.intensity, calibration.inverse.map
     strange = extrapolated(intensity, inverse_map, surface.p, surface.q, reading.first.meanwhile.result().strange)
-    if resting.prior is not None:
-        strange &= ~heights.datum.untouched
+    if resting.prior is not None and not heights.datum.is_relative:
+        strange &= ~heights.datum.skin
     unsure = before_heights.result().unsure.with_unresolved(*slopes)
     kept, error = noise.shrunk_kept if noise else NOISE_KEPT, slope_error_of(calibration, reading.method)
     sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, unsure, kept)

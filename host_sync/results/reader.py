@@ -48,6 +48,7 @@ class ResultSurface:
     slope_sigma : float32 array of shape (H, W), standard uncertainty of either slope, NaN where invalid
     sigma_um : float32 array of shape (H, W), standard uncertainty of the height, µm, NaN where invalid
     extrapolated : bool array of shape (H, W), True where a slope lies beyond the calibration's training samples
+        and the skin is not known to be untouched
     other : the height map with the other detail
     untouched : bool array of shape (H, W), True on the untouched skin that the zero was taken from
     stated : doubts of a surface that is no result of its own; None reads them from record and folder
