@@ -1,8 +1,23 @@
-"""`python -m device` runs `retroscan`."""
+"""The start of `retroscan` and of `python -m device`: Ctrl-C ends in a sentence from the first import on."""
+
+from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
-from device.cli.start import main
+from device.shutdown import STOPPED, ends_at_once
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `retroscan` in the main thread; returns the exit code."""
+    with ends_at_once("retroscan"):
+        from device.cli.main import main as run
+    try:
+        return run(arguments)
+    except KeyboardInterrupt:
+        sys.stderr.write("retroscan: stopped\n")
+        return STOPPED
+
 
 if __name__ == "__main__":
     sys.exit(main())

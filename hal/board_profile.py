@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from hal.decoding import decode_toml
 from hal.errors import BoardProfileError
 from hal.frame import AS_GRANTED, CameraSettings, StatedOrder
 from hal.profile_tables import (
@@ -32,7 +31,7 @@ from hal.profile_tables import (
     profile_folder,
     profile_names,
 )
-from hal.validation import explain_with_accepted, not_finite
+from hal.validation import decode_toml, explain_with_accepted, not_finite
 
 
 class SensorConfig(Table, frozen=True):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from device.errors import DeviceError
-    from device.surface.fields import Float32Array
+    from device.surface import Float32Array
     from host_sync.api_types import Image
     from host_sync.calibration_file.kept_calibration import KeptCalibration
     from host_sync.errors import HostError

@@ -13,7 +13,7 @@ import numpy as np
 
 from device.balls.sphere import Ball
 from device.imaging.flat_field import LinearFrame
-from device.surface.fields import Float32Array, GradientField
+from device.surface import Float32Array, GradientField
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import (

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from xarray import Dataset
 
-    from device.surface.fields import Float32Array
+    from device.surface import Float32Array
     from host_sync.results.reader import ResultSurface
     from host_sync.video.contact import Contact
 
@@ -73,7 +73,7 @@ class Result:
     @property
     def slopes(self) -> tuple[Float32Array, Float32Array]:
         """Slopes p along a row and q down a column, µm/µm."""
-        from device.surface.fields import surface_slopes
+        from device.surface import surface_slopes
 
         return surface_slopes(self.surface.height)
 

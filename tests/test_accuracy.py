@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from device.surface.fields import HeightMap, surface_slopes
+from device.surface import HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.results.reader import ResultRecord, ResultSurface

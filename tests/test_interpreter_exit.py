@@ -16,8 +16,8 @@ atexit.register(lambda freeze_count=gc.get_freeze_count: sys.stdout.write('|' + 
 {work}
 """
 WORK: Final = {
-    "the workstation's program": "from host_sync.cli.start import main\nmain(['verify', '--library', 'absent'])",
-    "the handheld's program": "from device.cli.start import main\nmain(['--board', 'twin', '--store', 'new', 'list'])",
+    "the workstation's program": "from host_sync.__main__ import main\nmain(['verify', '--library', 'absent'])",
+    "the handheld's program": "from device.__main__ import main\nmain(['--board', 'twin', '--store', 'new', 'list'])",
     "the Python interface": "import host_sync.api_arguments",
     "records": "import host_sync.frames.frame_set",
 }

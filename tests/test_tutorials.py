@@ -20,7 +20,7 @@ from typed_commands import PROGRAMS, split
 
 from device.balls.sphere import Ball
 from device.cli import instrument_commands, screens
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from device.tui.screens.app import RetroscanApp
 from hal import board_profile
 from hal.profile_tables import profile_folder

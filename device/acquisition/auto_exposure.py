@@ -15,7 +15,7 @@ from device.acquisition.calibrate import prompt_and_wait
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.selftest import check_light_visible
 from device.errors import CalibrationError
-from device.imaging.exposure import BRIGHTEST_PERCENTILE, Levels, channel_levels
+from device.imaging.frame_light import BRIGHTEST_PERCENTILE, Levels, channel_levels
 from hal.board_profile import LightConfig, SensorConfig
 from hal.frame import CameraSettings
 from hal.hardware import Hardware

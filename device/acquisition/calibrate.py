@@ -18,8 +18,8 @@ from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
 from device.calibration.fit import InverseFit, dropped_ball
 from device.errors import DeviceError
-from device.imaging.exposure import Brightness
-from device.inverse_map.npz import MODEL_FILE, read_model, write_model
+from device.imaging.frame_light import Brightness
+from device.inverse_map.model import MODEL_FILE, read_model, write_model
 from device.store.store import BundleStore
 from hal.errors import ButtonError
 from hal.frame import RawFrame

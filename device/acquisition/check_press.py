@@ -15,8 +15,8 @@ from device.bundles.calibration import CalibrationBundle, PressRecord
 from device.bundles.check import CheckStandard
 from device.bundles.raw_frame import read_raw
 from device.errors import DeviceError
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
+from device.imaging.frame_light import Levels
 from device.quality.verdict import Evidence
 from device.quick_look.check_measure import BallBias, BallReading, CheckNotMeasured, measure_standard, read_ball
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look

@@ -13,16 +13,15 @@ import numpy as np
 
 from device.balls.detector import RejectedBall, find_balls
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.acceptance import Check, Coverage, check_fit, fit_checks, measure_coverage
+from device.calibration.acceptance import MIN_BALLS, Check, Coverage, check_fit, fit_checks, measure_coverage
 from device.calibration.fit import InverseFit, fit_inverse_map
-from device.calibration.limits import MIN_BALLS
 from device.calibration.measured_radius import MeasuredRadii, measure_radii, shadow_radii_mm, wrong_by_shadow
 from device.errors import CalibrationError
-from device.imaging.exposure import Brightness
 from device.imaging.flat_field import LinearFrame, bin_bayer, check_exposed, flat_field_correct, make_flat_field
+from device.imaging.frame_light import Brightness
 from device.inverse_map.model import InverseMap
 from device.quality.untouched import MAX_CHANGED, changed_shape, reference_fault
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame
 from hal.interfaces import LiftOff, OperatorRequest, PressBall

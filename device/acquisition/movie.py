@@ -23,7 +23,7 @@ from device.acquisition.capture import (
 from device.bundles.scan import MAX_MOVIE_FRAMES, MovieFrameRecord, MovieRecord
 from device.guidance.guide import PressMeasure, box_smoothed, change, downsample_bayer, downsample_step
 from device.imaging.flat_field import MOVIE_BINNING, SATURATED, bin_bayer, bin_mosaic
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 

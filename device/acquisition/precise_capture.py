@@ -27,13 +27,28 @@ from device.acquisition.movie import (
     small_light,
     smoothed,
 )
-from device.bundles.scan import MAX_MOVIE_FRAMES, CaptureMode, ExposuresRecord, VerdictRecord
+from device.bundles.scan import MAX_MOVIE_FRAMES, Annotations, CaptureMode, ExposuresRecord, VerdictLevel, VerdictRecord
 from device.errors import CaptureModeRefused
 from device.guidance.guide import PressMeasure, change
 from device.imaging.flat_field import can_bin
 from device.imaging.frame_light import ambient_fraction
 from hal.frame import RawFrame
 from hal.hardware import Hardware
+
+
+@dataclass(frozen=True, slots=True)
+class Retake:
+    """The scan that a press is to replace, as it was when the operator asked for that."""
+
+    scan_id: str
+    counter: int
+    level: VerdictLevel
+    annotations: Annotations
+
+    def is_replaced_by(self, level: VerdictLevel) -> bool:
+        """Return whether a press with this verdict replaces it: not one that is worse, or to be taken again itself."""
+        return level != "retake" and not (level == "doubtful" and self.level == "good")
+
 
 AVERAGE_S: Final = 0.150
 """Frames that are complete this long after the first one's exposure began are averaged."""

@@ -10,15 +10,21 @@ import numpy as np
 
 from device.errors import DeviceError
 from device.guidance.guide import GuideModel, PressMeasure, measure_frame
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct
+from device.imaging.frame_light import Levels
 from device.quality.light_shares import LightShares
-from device.quality.thresholds import FLAT_RESIDUAL_UM, LIGHT_CONTACT, LIGHT_DRIFTED, MIN_CONTACT, STALE_EVIDENCE_SCANS
+from device.quality.press_faults import (
+    FLAT_RESIDUAL_UM,
+    LIGHT_CONTACT,
+    LIGHT_DRIFTED,
+    MIN_CONTACT,
+    STALE_EVIDENCE_SCANS,
+)
 from device.quality.untouched import LightDriftMonitor, ReferenceModel, UntouchedRegion, gel_defects
 from device.quality.verdict import InstrumentContext
 from device.quick_look.solver import QuickLookModel, quick_look
 from device.store.choices import count_gel_press
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from hal.board_profile import BoardProfile
 from hal.frame import RawFrame
 

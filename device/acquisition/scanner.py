@@ -11,12 +11,12 @@ from device.acquisition.capture import CaptureSettings, capture_with_faults
 from device.acquisition.check_press import measure_check
 from device.acquisition.precise_capture import (
     PreciseCapture,
+    Retake,
     capture_precisely,
     exposures_record,
     frames_stored,
     with_ambient_share,
 )
-from device.acquisition.retake import Retake
 from device.acquisition.scan_health import ScanHealth
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CHECK_FILE, CheckRecord, CheckStandard, last_of_standards
@@ -33,10 +33,9 @@ from device.bundles.scan import (
     VerdictRecord,
 )
 from device.errors import CalibrationMismatch, DeviceError, StoreError
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import bin_bayer
-from device.imaging.frame_light import without_ambient
-from device.inverse_map.npz import read_model
+from device.imaging.frame_light import Levels, without_ambient
+from device.inverse_map.model import read_model
 from device.quality.verdict import Evidence
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look, write_quick_look
 from device.store.checks import judged_check, read_checks, write_check

@@ -17,8 +17,8 @@ from device.acquisition.capture import (
     retry_with_restart,
 )
 from device.errors import CalibrationError, DeviceError
-from device.imaging.exposure import BRIGHTEST_PERCENTILE, Levels, channel_levels
-from device.quality.thresholds import LOW_BATTERY
+from device.imaging.frame_light import BRIGHTEST_PERCENTILE, Levels, channel_levels
+from device.quality.press_faults import LOW_BATTERY
 from hal.board_profile import LightConfig
 from hal.errors import HalError
 from hal.hardware import Hardware

@@ -25,7 +25,7 @@ from device.balls.refinement import (
 from device.balls.sphere import Ball
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 
 CANDIDATE_RADIUS_PX: Final = 14.0
 REFINE_RADIUS_PX: Final = 28.0

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import MAX_DISAGREEMENT, NormalizedImage
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 
 RING_INNER: Final = 0.2
 RING_OUTER: Final = 1.4

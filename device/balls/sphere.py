@@ -1,7 +1,4 @@
-"""A ball pressed into the skin, and its training pixels.
-
-Inside its contact the skin is the sphere, so that every pixel there has a known slope (paper, section 5.1).
-"""
+"""A ball pressed into the skin, its image in a camera nearby, and its training pixels."""
 
 from __future__ import annotations
 
@@ -13,10 +10,62 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.balls.viewpoint import Viewpoint
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
+
+MIN_HEIGHTS: Final = 5.0
+"""Times a ball's elevation that a camera's height must be."""
+
+INVERSE_ROUNDS: Final = 8
+"""Each makes the error of an offset smaller by slope times the tangent of the viewing angle: 0.01 to 0.2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """Position of a camera that looks straight down, pixels of untouched skin.
+
+    column, row : the place below it
+    height_px : its height over untouched skin, as rays inside the gel see it
+    """
+
+    column: float
+    row: float
+    height_px: float
+
+    @classmethod
+    def over_middle(cls, height_mm: float, pitch_um: float, shape: tuple[int, int]) -> Viewpoint:
+        """Over the middle of a field of `shape` (H, W) whose pixels are `pitch_um` apart."""
+        rows, columns = shape
+        return cls(0.5 * (columns - 1), 0.5 * (rows - 1), height_mm * 1e3 / pitch_um)
+
+    def enlarged(self, factor: float) -> Viewpoint:
+        """Return the same over a frame with `factor` times as many pixels in each direction."""
+        column, row = (factor * (place + 0.5) - 0.5 for place in (self.column, self.row))
+        return Viewpoint(column, row, factor * self.height_px)
+
+    def offsets_from_axis(
+        self,
+        pixel: Float64Array,
+        centre: Float64Array,
+        radius_px: Float64Array | float,
+        apex_px: Float64Array | float,
+    ) -> Float64Array:
+        """Return where pixels (2, ...) inside spheres see them: right and down of each one's axis, shape (2, ...).
+
+        pixel : column and row
+        centre : column and row at which the sphere's apex is seen; it broadcasts with `pixel`
+        radius_px : of the sphere
+        apex_px : elevation of its apex over untouched skin
+        """
+        middle = np.array([self.column, self.row]).reshape(2, *(1,) * (np.ndim(pixel) - 1))
+        at_apex = (pixel - centre) * (1.0 - apex_px / self.height_px)
+        leaning = (pixel - middle) / self.height_px
+        offset = at_apex
+        for _ in range(INVERSE_ROUNDS):
+            below = radius_px - np.sqrt(np.maximum(radius_px**2 - (offset**2).sum(axis=0), 1.0))
+            offset = at_apex + below * leaning
+        return np.asarray(offset)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ import msgspec
 
 from device.errors import RecordError
 from device.io.folder import FileTooLarge, Folder, IrregularFile, open_regular
-from hal.decoding import decode_json
-from hal.validation import explain_validation
+from hal.validation import decode_json, explain_validation
 
 CHUNK_BYTES: Final = 1 << 20
 MAX_MANIFEST_BYTES: Final = 4 << 20

@@ -15,17 +15,23 @@ from device.calibration.slope_gain import gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity, flat_at_rest, seen_at_rest
 from device.inverse_map.gentle_skin import GentleSkin
 from device.inverse_map.near_light import IlluminationMap, NearLightModel
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
+    FeatureRegressor,
     FeatureScaler,
     RandomFourierFeatures,
     colour_exponents,
     field_position,
     position_exponents,
 )
-from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import Leverage
-from device.surface.fields import NOISE_KEPT, Float32Array, Float64Array, MaskArray
-from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
+from device.surface import (
+    NOISE_KEPT,
+    Float32Array,
+    Float64Array,
+    MaskArray,
+    slope_from_stereographic,
+    stereographic_from_slope,
+)
 
 PENALTIES: Final = tuple(float(value) for value in 10.0 ** np.arange(-8.0, 1.0, 0.5))
 PENALTY_STRIDE: Final = 3

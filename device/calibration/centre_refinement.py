@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.candidates import RegressorFit
 from device.calibration.cross_validation import angle_between_deg, robust_weight
-from device.surface.fields import Float64Array, MaskArray
-from device.surface.stereographic import slope_from_stereographic
+from device.surface import Float64Array, MaskArray, slope_from_stereographic
 
 REFINEMENT_ROUNDS: Final = 4
 SHIFT_TAKEN: Final = 0.8

@@ -11,8 +11,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from device.calibration.product_features import ProductFeatures
-from device.surface.fields import Float64Array, MaskArray
-from device.surface.stereographic import stereographic_from_slope
+from device.surface import Float64Array, MaskArray, stereographic_from_slope
 
 FOLDS: Final = 5
 

@@ -30,10 +30,9 @@ from device.errors import CalibrationError
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity, light_at_rest
 from device.inverse_map.model import InverseMap, rest_nodes
 from device.inverse_map.near_light import IlluminationMap, NearLightModel
-from device.inverse_map.polynomial_features import field_position
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import FeatureRegressor, field_position
 from device.inverse_map.training_domain import TrainingDomain
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 
 LONE_BALL_FORM: Final = RegressorForm(4, 0)
 LONE_BALL_PENALTY: Final = 1e-3

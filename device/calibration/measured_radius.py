@@ -17,7 +17,7 @@ from device.balls.sphere import Ball, BallSamples
 from device.calibration.acceptance import Check
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 
 GENTLE: Final = 0.5
 """Slopes up to which radii are read, as stated."""

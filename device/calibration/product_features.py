@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
     RandomFourierFeatures,
     blocks_of,
     colour_exponents,
+    colour_rows,
     monomial_rows,
     position_exponents,
     sum_of_products,
 )
-from device.inverse_map.regressor import colour_rows
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

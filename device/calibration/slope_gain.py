@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 
 BAND_EDGES_DEG: Final = (0.0, 3.0, 8.0, 15.0, 30.0)
 MIN_PIXELS: Final = 50

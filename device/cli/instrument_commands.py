@@ -31,11 +31,10 @@ from device.cli.console import (
     print_note,
     store_folder,
 )
-from device.cli.pairing import import_inbox
-from device.cli.service import ServiceReport
+from device.cli.service import ServiceReport, import_inbox
 from device.command_line import print_json
 from device.errors import CaptureModeRefused
-from device.imaging.exposure import Brightness
+from device.imaging.frame_light import Brightness
 from device.instrument.calibration_run import BALL_RADIUS_MM
 from device.instrument.events import (
     CalibrationStep,
@@ -50,7 +49,7 @@ from device.instrument.events import (
 )
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
-from device.store.active import read_active
+from device.store.registry_file import read_active
 from hal.board_profile import load_board_profile
 from hal.clock import SystemClock
 from hal.factory import open_hardware

@@ -54,7 +54,7 @@ COMMANDS: Final = (
     ),
     Command(
         "demo",
-        "device.cli.demo:demo",
+        "device.cli.guide:demo",
         "Show the screens on a simulated handheld; key f switches faults on and off.",
         ("retroscan demo",),
     ),
@@ -100,7 +100,7 @@ COMMANDS: Final = (
     ),
     Command(
         "pair",
-        "device.cli.pairing:pair",
+        "device.cli.service:pair",
         "Let a workstation pair within two minutes; it shows the same code as this device.",
         ("retroscan pair", "retroscan pair --card /media/card"),
     ),
@@ -177,7 +177,7 @@ CALIBRATIONS: Final = (
     ),
     Command(
         "import-inbox",
-        "device.cli.pairing:import_pushed",
+        "device.cli.service:import_pushed",
         "Import the calibrations that a workstation pushed.",
         ("retroscan calibrations import-inbox", "retroscan calibrations import-inbox --activate"),
     ),

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.align.pose import turning
+from device.align import turning
 from device.guidance.placement import Placement, Target, Unplaced, way_words
-from device.surface.fields import Float64Array, HeightMap, MaskArray
+from device.surface import Float64Array, HeightMap, MaskArray
 
 MAX_AREA_MM: Final = 300.0
 """Each way: some hundreds of presses."""

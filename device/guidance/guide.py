@@ -9,15 +9,23 @@ from typing import Final, Literal
 import numpy as np
 
 from device.bundles.scan import VerdictLevel
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import DARK_FLOOR, SATURATED, NormalizedImage, bin_bayer
+from device.imaging.frame_light import Levels
 from device.imaging.frame_measures import SHADED
 from device.inverse_map.tabulated import TabulatedInverseMap
-from device.quality.press_faults import FaultKind, PressFigures, press_faults
-from device.quality.thresholds import MAX_DEPTH, MIN_CONTACT, MOVING, RAISED, STILL_S, TILT_CONTACT
+from device.quality.press_faults import (
+    MAX_DEPTH,
+    MIN_CONTACT,
+    MOVING,
+    RAISED,
+    STILL_S,
+    TILT_CONTACT,
+    FaultKind,
+    PressFigures,
+    press_faults,
+)
 from device.quality.verdict import border_levels, light_complaint
-from device.surface.fields import Float32Array, MaskArray
-from device.surface.poisson_dct import integrate_dct
+from device.surface import Float32Array, MaskArray, integrate_dct
 from hal.frame import RawFrame
 
 _SIDES: Final = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")

@@ -13,11 +13,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.align.pose import Pose
-from device.align.search import Complex, PlaceSearch, is_apart, relief_slopes, seen_at
+from device.align import Complex, PlaceSearch, Pose, is_apart, relief_slopes, seen_at
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import QuickLookModel, quick_look
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.frame import RawFrame
 
 COARSE_PX: Final = 96

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.errors import CalibrationMismatch, FrameError
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from hal.frame import BayerOrder, RawFrame
 
 REFERENCE_BLUR_PX: Final = 3.0

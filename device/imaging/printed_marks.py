@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import DARK_FLOOR, LinearFrame
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 
 LARGEST: Final = 0.08
 SMALLEST: Final = 0.01

@@ -6,6 +6,10 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.gel_profile import calibration_settings, with_active_gel
@@ -14,22 +18,40 @@ from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.check import CheckStandard
 from device.errors import DeviceError
-from device.guidance.code_reader import read_code
-from device.imaging.exposure import Brightness
+from device.imaging.flat_field import bin_bayer
+from device.imaging.frame_light import Brightness
 from device.instrument.events import Failed, Info, ZeroChecked, show
 from device.instrument.health import BaselineScheduler, health_state, zero_sentence
 from device.instrument.live import LiveFrame, LiveLoop
 from device.instrument.state import CalibrationState, GelState, HealthState, NextLight, StateStore
-from device.io.memory import give_back_memory
-from device.quality.thresholds import FLAT_RESIDUAL_UM
+from device.io.system import give_back_memory
+from device.quality.press_faults import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
-from device.store.active import ACTIVE_FILE
 from device.store.checks import read_checks, read_standard, write_standard
 from device.store.choices import BALANCE, known_gel, make_gel, mount_gel, mounted_gel
 from device.store.registry import CalibrationRegistry
+from device.store.registry_file import ACTIVE_FILE
 from device.store.store import BundleStore
 from hal.errors import HalError
+from hal.frame import RawFrame
 from hal.hardware import Hardware
+
+BINNING: Final = 2
+
+
+def read_code(frame: RawFrame) -> str | None:
+    """Return the text of the frame's code, also a mirrored one; None where none can be read."""
+    grey = bin_bayer(frame, BINNING).rgb.mean(axis=-1)
+    low, high = np.percentile(grey, (1.0, 99.0))
+    spread = max(float(high - low), 1e-6)
+    shown = (255.0 * np.clip((grey - low) / spread, 0.0, 1.0)).astype(np.uint8)
+    for picture in (shown, np.ascontiguousarray(shown[:, ::-1])):
+        text = cv2.QRCodeDetector().detectAndDecode(picture)[0]
+        text = text or cv2.barcode.BarcodeDetector().detectAndDecode(picture)[0]
+        if text and text.isprintable():
+            return str(text)
+    return None
+
 
 Selection = tuple[str, float, bytes]
 """Mounted gel, its slab in mm, and the content of the store's active-calibration file."""

@@ -9,7 +9,7 @@ from typing import Final, Literal
 from device.acquisition.guided_calibration import CalibrationProgress
 from device.acquisition.selftest import Finding
 from device.bundles.scan import VerdictRecord
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import Cue

@@ -9,7 +9,7 @@ from typing import Final
 from device.acquisition.scan_health import ScanHealth, ZeroCheck
 from device.instrument.live import LiveFrame
 from device.instrument.state import GelState, HealthState
-from device.quality.thresholds import FLAT_RESIDUAL_UM, GEL_PRESSES, MAX_DEFECTS, MOVING, STALE_EVIDENCE_SCANS
+from device.quality.press_faults import FLAT_RESIDUAL_UM, GEL_PRESSES, MAX_DEFECTS, MOVING, STALE_EVIDENCE_SCANS
 from device.quality.verdict import dirt_sentence, drift_complaints
 from hal.interfaces import PowerReading
 

@@ -20,7 +20,7 @@ from device.store.checks import read_checks
 from device.store.choices import MARKS, ScanMark
 from device.store.deletion import acknowledged_scans, delete_scan, purge_deleted, restore_scan
 from device.store.store import BundleStore
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from typing import Any, Final, ParamSpec, Self, TypeVar
 
 from msgspec import structs
 
-from device.acquisition.precise_capture import mode_fault
-from device.acquisition.retake import Retake
+from device.acquisition.precise_capture import Retake, mode_fault
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations
 from device.errors import DeviceError, RecordError
@@ -45,10 +44,10 @@ from device.store.choices import (
     read_sticky,
     write_mark,
 )
+from device.store.inbox import StickExport, export_to_stick, find_stick
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
-from device.store.stick import StickExport, export_to_stick, find_stick
 from device.store.store import BundleStore
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.clock import VirtualClock
 from hal.errors import HalError
 from hal.hardware import Hardware

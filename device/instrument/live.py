@@ -9,11 +9,11 @@ from typing import Final, Literal
 from device.acquisition.capture import FRAME_TIMEOUT_S, CaptureSettings, check_frame
 from device.bundles.scan import VerdictLevel
 from device.guidance.guide import GuideModel, GuideReading, PressGuide, downsample_bayer, downsample_step
-from device.imaging.exposure import Levels, SkinLevels
+from device.imaging.frame_light import Levels, SkinLevels
 from device.imaging.frame_measures import FocusMeter, FocusReading
 from device.instrument.events import Info
 from device.instrument.state import LiveView, StateStore
-from device.quality.thresholds import STILL_S
+from device.quality.press_faults import STILL_S
 from hal.errors import FrameTimeout
 from hal.frame import RawFrame
 from hal.hardware import Hardware

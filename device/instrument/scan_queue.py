@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeVar
 
 from device.acquisition.check_press import BallInDoubt
-from device.acquisition.retake import Retake
+from device.acquisition.precise_capture import Retake
 from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
 from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations

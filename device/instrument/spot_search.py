@@ -14,7 +14,7 @@ from device.guidance.placement import Placement, Target, Unplaced, on_the_spot, 
 from device.instrument.events import Failed, Info, show
 from device.instrument.state import AreaState, SpotState, StateStore
 from device.quick_look.solver import QuickLookModel
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 

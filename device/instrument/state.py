@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from device.acquisition.auto_exposure import ExposureBalance
 from device.acquisition.capture import CaptureSettings
 from device.acquisition.guided_calibration import CalibrationProgress
-from device.acquisition.retake import Retake
+from device.acquisition.precise_capture import Retake
 from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
 from device.guidance.cover_task import CoverMap
 from device.guidance.guide import GuideReading
-from device.imaging.exposure import Brightness, SkinLevels
+from device.imaging.frame_light import Brightness, SkinLevels
 from device.imaging.frame_measures import FocusReading
 from device.instrument.events import Event
-from device.quality.thresholds import OLD_CALIBRATION_S
+from device.quality.press_faults import OLD_CALIBRATION_S
 from device.store.choices import Settings
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.interfaces import PowerReading
 
 Activity = Literal[

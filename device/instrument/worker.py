@@ -24,7 +24,7 @@ from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.spot_search import AreaCover, SpotSearch
 from device.instrument.state import SpotState, StateStore
-from device.io.memory import give_back_memory
+from device.io.system import give_back_memory
 from device.store.store import BundleStore
 from hal.errors import CameraStuck, HalError
 from hal.hardware import Hardware

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.inverse_map.near_light import IlluminationMap, NearLightModel, between_nodes, rows_between_nodes
-from device.inverse_map.polynomial_features import position_exponents
-from device.inverse_map.regressor import FeatureRegressor, colour_terms
-from device.surface.fields import Float32Array, Float64Array
+from device.inverse_map.regressor import FeatureRegressor, colour_terms, position_exponents
+from device.surface import Float32Array, Float64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

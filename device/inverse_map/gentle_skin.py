@@ -27,8 +27,8 @@ from device.inverse_map.near_light import (
     direction_features,
     lit_by,
 )
-from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.inverse_map.regressor import field_position, monomials, position_exponents
+from device.surface import Float32Array, Float64Array, MaskArray
 
 BEND_DEGREE: Final = 1
 """Degree in position of what squares and cubes of slopes do.

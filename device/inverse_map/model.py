@@ -1,21 +1,13 @@
-"""The position-aware inverse map: from intensity and place in the field straight to slope.
-
-Near lights make the reflectance change over the field, so that one colour means different slopes in different places.
-The map is a curve of log intensity, a polynomial with or without waves (see `regressor`), whose every coefficient is
-itself a polynomial in position. It predicts the stereographic slope. Where held-out balls gain by it, its place is
-taken by a curve that reads what a matt skin's slopes would be under near lights (see `near_light`); and a further curve
-reads the frame's light, not divided by the reference, another the root of intensity, and the map is the weighted mean
-of all. Each is fitted less what it reads on untouched skin (see `branches`), so that intensity 1 has no slope
-anywhere. Where the curves disagree none of them is sure, and the slope weighs less in integration.
-
-Why a direct inverse: held-out balls prefer it to every inversion of a forward model that was tried
-(docs/decisions/0004-direct-inverse.md).
-"""
+"""The position-aware inverse map, from intensity and place in the field straight to slope, and its file."""
 
 from __future__ import annotations
 
+import struct
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -25,11 +17,9 @@ from device.errors import CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.branches import IntensityCurve, NearLightBranch, Part, RawLightBranch, RootCurve
 from device.inverse_map.near_light import between_nodes, is_node_grid, rows_between_nodes
-from device.inverse_map.polynomial_features import field_position
-from device.inverse_map.regressor import FeatureRegressor, with_prefix
+from device.inverse_map.regressor import FeatureRegressor, field_position, with_prefix
 from device.inverse_map.training_domain import Leverage, TrainingDomain
-from device.surface.fields import Float32Array, Float64Array, GradientField
-from device.surface.stereographic import slope_from_stereographic
+from device.surface import Float32Array, Float64Array, GradientField, slope_from_stereographic
 
 TRUSTED_EXCESS: Final = 0.5
 """Distance outside the calibrated colours, in standard deviations, at which confidence has fallen to a quarter."""
@@ -287,3 +277,51 @@ def rest_nodes(inverse_map: InverseMap) -> Float32Array:
 def _blocks(rows: int) -> Iterator[slice]:
     for start in range(0, rows, _BLOCK_ROWS):
         yield slice(start, min(start + _BLOCK_ROWS, rows))
+
+
+MODEL_FILE: Final = "inverse-map.npz"
+MAX_MODEL_BYTES: Final = 64 << 20
+"""A map takes a few megabytes; a file that unpacks to more than this is not unpacked."""
+
+_READ_ERRORS: Final = (
+    OSError,
+    ValueError,
+    TypeError,
+    EOFError,
+    LookupError,
+    ArithmeticError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What zipfile and numpy raise for bytes that are no model, or no longer."""
+
+
+def write_model(path: Path, inverse_map: InverseMap) -> None:
+    """Write the map so that `read_model` returns it bit for bit."""
+    with path.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **inverse_map.arrays())
+
+
+def read_model(path: Path) -> InverseMap:
+    """Return the inverse map in a file.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, damaged or holds something else.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked_bytes = sum(member.file_size for member in archive.infolist())
+        if unpacked_bytes > MAX_MODEL_BYTES:
+            raise RecordError(f"{path}: unpacks to {unpacked_bytes / 1e6:.0f} MB, more than any model: calibrate again")
+        with np.load(path, allow_pickle=False) as arrays:
+            return InverseMap.from_arrays(dict(arrays), str(path))
+    except _READ_ERRORS as error:
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(f"{path}: holds no readable model ({error}): calibrate again") from error

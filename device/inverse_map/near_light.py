@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
-from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
-from device.surface.fields import Float32Array, Float64Array
+from device.inverse_map.regressor import field_position, monomials, position_exponents
+from device.surface import Float32Array, Float64Array
 
 PLACE_DEGREE: Final = 3
 """Degree in position of the lights' directions: 1 is a point's over a plane; of several lights, in a strip or through a

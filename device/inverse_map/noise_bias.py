@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from device.imaging.flat_field import REFERENCE_BLUR_PX, NormalizedImage
 from device.inverse_map.model import InverseMap, rest_likeness
-from device.inverse_map.polynomial_features import field_position
-from device.surface.fields import Float32Array, Float64Array
+from device.inverse_map.regressor import field_position
+from device.surface import Float32Array, Float64Array
 
 PIXELS: Final = 120_000
 CELLS_ACROSS: Final = 24

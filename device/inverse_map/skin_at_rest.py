@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.imaging.frame_light import FrameLight, certain_levels
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 CELLS_ACROSS: Final = 64
 MIN_CELLS: Final = 12

@@ -23,15 +23,14 @@ from numpy.typing import NDArray
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, TRUSTED_EXCESS, InverseMap
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
     DARK_OFFSET,
     FeatureScaler,
     field_position,
     monomials,
     position_exponents,
 )
-from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
-from device.surface.stereographic import stereographic_size
+from device.surface import Float32Array, Float64Array, GradientField, MaskArray, stereographic_size
 
 BINS: Final = 64
 """Bins a channel: 6 tables of 2 MB, few of whose lines a frame touches."""

@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.inverse_map.polynomial_features import log_intensity
-from device.inverse_map.regressor import FeatureRegressor
-from device.surface.fields import Float32Array, Float64Array
+from device.inverse_map.regressor import FeatureRegressor, log_intensity
+from device.surface import Float32Array, Float64Array
 
 CELL: Final = 0.1
 """Width of a cell of colour, standard deviations of log intensity over the balls."""

@@ -15,7 +15,7 @@ from typing import BinaryIO, Final
 from device.errors import OutputError
 from device.io.folder import NO_FOLLOW, OPENS_FOLDERS, sync_descriptor
 from device.io.lock import FolderLocked, locked_directory
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 
 RESULTS: Final = "results"
 """Folder of a scan for its results, one folder each."""

@@ -15,8 +15,8 @@ import msgspec
 
 from device.errors import PairingRefused, RecordError, StoreError
 from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
-from device.pairing.exchange import PAIRING_PORT, DeviceCard, HostCard
+from device.io.system import explain_os_error
+from device.pairing import PAIRING_PORT, DeviceCard, HostCard
 from device.pairing_service.window import WINDOW_S, PairingWindow, ShownCode
 from device.store.store import BundleStore
 from hal.interfaces import Clock

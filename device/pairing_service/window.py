@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Final
 
 from device.errors import DeviceError, PairingRefused, RecordError
-from device.pairing.exchange import (
+from device.pairing import (
     Accepted,
     Answer,
     Call,

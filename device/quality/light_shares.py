@@ -18,7 +18,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 MAX_RESIDUAL: Final = 0.012
 """Largest rms disagreement between the lights alone and the reference, relative; pressed skin disagrees by more."""

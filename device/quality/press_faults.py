@@ -1,21 +1,86 @@
-"""Faults of a press, in one place: press guide, auto-shutter and verdict agree on the same figures."""
+"""Faults of a press, and every threshold of press guide, verdict and health."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from device.bundles.scan import VerdictLevel
-from device.quality.thresholds import (
-    CLIPPED_RETAKE,
-    LIGHT_CONTACT,
-    MAX_DEPTH,
-    MAX_TILT_DEG,
-    MIN_CONTACT,
-    MIN_DEPTH,
-    UNDEREXPOSED,
-)
+
+CLIPPED_RETAKE: Final = 0.05
+CLIPPED_DOUBTFUL: Final = 0.005
+"""Maximum fraction of clipped pixels before a press is to be retaken, or is doubtful."""
+
+MIN_CONTACT: Final = 0.005
+"""Minimum shaded fraction of the field in a press."""
+
+UNDEREXPOSED: Final = 0.1
+"""A frame whose 99th percentile is below this fraction of full scale is mostly noise."""
+
+MAX_DEPTH: Final = 0.5
+"""Maximum depth, as the press guide measures it, as a fraction of the slab's thickness. Beyond 0.6 a gel tears or comes
+off its window; the guide reads up to a fifth low."""
+
+LIGHT_CONTACT: Final = 0.05
+MIN_DEPTH: Final = 0.05
+"""A press with a smaller contact fraction and a smaller depth, as a fraction of the slab's thickness, is too light."""
+
+RAISED: Final = 0.03
+"""Skin raised by more than this fraction of the slab's thickness is in contact, or close to it."""
+
+MAX_TILT_DEG: Final = 6.0
+"""Maximum tilt of the contact plane in a level press."""
+
+TILT_CONTACT: Final = 0.05
+"""Minimum contact fraction for a meaningful tilt."""
+
+MOVING: Final = 0.05
+"""Change of smoothed intensity between frames, 99th percentile, above which the object moves."""
+
+STILL_S: Final = 0.4
+"""Contact that has not moved for this long is still."""
+
+MOTION_DOUBTFUL: Final = 0.10
+"""The same change between the last live frame and the scan's frame above which the scan may be smeared."""
+
+SHARP: Final = 0.4
+"""Fine-to-coarse contrast of the strongest edges below which the frame is far out of focus or smeared."""
+
+LIGHT_DRIFTED: Final = 0.018
+"""Relative change of a light since calibration that is reported: 0.02, which costs about half a degree of slope, less
+what the measurement may be wrong by."""
+
+DRIFTED: Final = 0.02
+"""Relative change of the untouched skin's pattern since calibration that is reported."""
+
+DRIFTED_FAR: Final = 0.10
+"""Relative change from which the calibration is useless."""
+
+STALE_EVIDENCE_SCANS: Final = 20
+"""After this many scans without untouched skin in view the state of the lights is unknown."""
+
+DEFECT_CONTRAST: Final = 0.04
+"""A spot of untouched skin that differs from its surroundings by this fraction is a scratch, dust or a stain."""
+
+MAX_DEFECTS: Final = 0.02
+"""Maximum fraction of the field with defects before the gel should be wiped or changed."""
+
+MAX_DARK_SPOTS: Final = 0.002
+"""Maximum fraction of a press with dark spots that the calibration's reference does not show."""
+
+GEL_PRESSES: Final = 5000
+"""Presses after which a gel's coat should be inspected."""
+
+FLAT_RESIDUAL_UM: Final = 8.0
+"""Maximum rms height of untouched skin about its mean plane in a passed zero check."""
+
+OLD_CALIBRATION_S: Final = 30 * 86_400.0
+"""Age from which a calibration should be checked with the calibration cap."""
+
+LOW_BATTERY: Final = 0.1
+"""Charge below which the battery should be recharged."""
+
 
 FaultKind = Literal["too dark", "lights", "too bright", "press", "press more", "too deep", "press flatter"]
 

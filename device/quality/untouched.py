@@ -23,12 +23,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import LinearFrame, NormalizedImage
-from device.inverse_map.polynomial_features import monomials
+from device.imaging.frame_light import Levels
+from device.inverse_map.regressor import monomials
 from device.quality.light_shares import LightShares
-from device.quality.thresholds import DEFECT_CONTRAST, MAX_DEFECTS
-from device.surface.fields import Float32Array, MaskArray
+from device.quality.press_faults import DEFECT_CONTRAST, MAX_DEFECTS
+from device.surface import Float32Array, MaskArray
 
 BLOCKS_ACROSS: Final = 24
 AGREEING: Final = 0.006

@@ -9,11 +9,10 @@ from typing import Final, Literal
 import numpy as np
 
 from device.bundles.scan import VerdictLevel, VerdictRecord
-from device.imaging.exposure import Levels
 from device.imaging.flat_field import BLACK_FRAME, LinearFrame, NormalizedImage
+from device.imaging.frame_light import Levels
 from device.imaging.frame_measures import shaded_fraction, sharpness
-from device.quality.press_faults import PressFigures, press_faults
-from device.quality.thresholds import (
+from device.quality.press_faults import (
     CLIPPED_DOUBTFUL,
     DRIFTED,
     DRIFTED_FAR,
@@ -23,9 +22,11 @@ from device.quality.thresholds import (
     MIN_CONTACT,
     MOTION_DOUBTFUL,
     SHARP,
+    PressFigures,
+    press_faults,
 )
 from device.quality.untouched import dark_spots
-from device.surface.fields import MaskArray
+from device.surface import MaskArray
 
 LIGHTS_UNKNOWN: Final = "the lights could not be checked: lift off for a moment after each press"
 

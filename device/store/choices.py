@@ -16,7 +16,7 @@ from device.bundles.record import BundleId, Count, Positive, Record, ShortText, 
 from device.bundles.scan import Annotations, CaptureMode
 from device.errors import RecordError, StoreError
 from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from hal.board_profile import GelConfig
 
 # A small record of the store as a file that is replaced in one step.

@@ -13,16 +13,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from device.bundles.check import RECEIPTS, is_receipted, receipt_name
 from device.bundles.layout import is_bundle_id, list_bundles, partial_name
-from device.bundles.receipt import RECEIPTS, is_receipted, receipt_name
 from device.bundles.record import read_manifest
 from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import RecordError, StoreError
 from device.io.atomic import remove_tree_quietly, sync_directory
 from device.io.folder import Folder
 from device.io.lock import locked_directory
-from device.io.os_errors import explain_os_error
-from device.io.permissions import FOLDER_MODE, make_folder
+from device.io.system import FOLDER_MODE, explain_os_error, make_folder
 from device.store.choices import MARKS
 
 DELETED: Final = "deleted"

@@ -10,7 +10,7 @@ import msgspec
 
 from device.bundles.record import BundleId, Count, Record, decode_record, encode_record, read_small
 from device.io.atomic import replace_file
-from device.io.permissions import FILE_MODE
+from device.io.system import FILE_MODE
 
 DEVICE_SCHEMA: Final = "retrograph.device/1"
 DEVICE_FILE: Final = "device.json"

@@ -19,7 +19,7 @@ from device.bundles.record import checksum_name
 from device.errors import CalibrationMismatch, NoCalibration, RecordError, StoreError
 from device.io.atomic import remove_tree_quietly
 from device.io.folder import Folder
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from device.store.registry_file import (
     SHORT,
     CalibrationKey,

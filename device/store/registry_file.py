@@ -1,4 +1,4 @@
-"""The registry on disk: one file for each board, gel and set of lights, with its calibrations by version."""
+"""Files of the registry of calibrations: its versions by board, gel and lights, and the active one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from device.bundles.calibration import CalibrationRecord
+from device.bundles.calibration import CalibrationBundle, CalibrationRecord, read_calibration
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.record import (
     BundleId,
@@ -22,10 +22,57 @@ from device.bundles.record import (
     read_small,
     sha256_bytes,
 )
-from device.errors import StoreError
+from device.errors import NoCalibration, StoreError
 from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
+from device.io.system import FILE_MODE, explain_os_error
 from hal.board_profile import BoardProfile
+
+ACTIVE_FILE: Final = "active.json"
+ACTIVE_SCHEMA: Final = "retrograph.active/1"
+_ACTIVATE_AGAIN: Final = (
+    "activate a calibration again with `retroscan calibrations use ID` (`retroscan calibrations` lists them), or run "
+    "`retroscan calibrate`"
+)
+
+
+class ActiveCalibration(Record, frozen=True, tag_field="schema", tag=ACTIVE_SCHEMA):
+    """The id of the active calibration."""
+
+    calibration_id: BundleId
+
+
+def read_active(root: Path) -> CalibrationBundle:
+    """Return the active calibration of a store.
+
+    Raises
+    ------
+    NoCalibration
+        None was activated, or the active one is gone.
+    RecordError
+        The choice or the calibration is damaged.
+    """
+    path = root / ACTIVE_FILE
+    if not path.exists():
+        raise NoCalibration(f"no calibration is active in {root}: run `retroscan calibrate` first")
+    calibration_id = decode_record(
+        read_small(path, f"remove it, then {_ACTIVATE_AGAIN}"), ActiveCalibration, path, _ACTIVATE_AGAIN
+    ).calibration_id
+    directory = root / "calibrations" / calibration_id
+    if not directory.is_dir():
+        raise NoCalibration(f"the active calibration {calibration_id} is gone: run `retroscan calibrate` again")
+    return read_calibration(directory)
+
+
+def write_active(root: Path, calibration_id: str) -> None:
+    """Make a calibration the active one, durably.
+
+    Raises
+    ------
+    OSError
+        The disk refused; the one before stays active.
+    """
+    replace_file(root / ACTIVE_FILE, encode_record(ActiveCalibration(calibration_id=calibration_id)), FILE_MODE)
+
 
 REGISTRY_FOLDER: Final = "calibration-slots"
 _REMEDY: Final = "remove it: it is rebuilt from the calibrations of the store"

@@ -12,15 +12,13 @@ from typing import Any, Final
 import msgspec
 
 from device.bundles.calibration import CalibrationRecord
-from device.bundles.check import CheckRecord, CheckStandard
+from device.bundles.check import CheckRecord, CheckStandard, Receipt
 from device.bundles.raw_frame import RawHeader
-from device.bundles.receipt import Receipt
 from device.bundles.record import Record
 from device.bundles.scan import ScanRecord
-from device.store.active import ActiveCalibration
 from device.store.choices import BalanceRecord, GelRecord, MountedGel, Presets, ScanMark, Settings, StickyAnnotations
 from device.store.device_id import DeviceState
-from device.store.registry_file import RegistryFile
+from device.store.registry_file import ActiveCalibration, RegistryFile
 
 _RECORDS: Final[tuple[type[Record], ...]] = (
     ScanRecord,

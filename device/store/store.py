@@ -19,24 +19,33 @@ import msgspec
 import platformdirs
 
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
-from device.bundles.layout import INBOX, MANIFESTS, BundleKind, Listing, bundle_ids, is_bundle_id, list_bundles
-from device.bundles.publishing import FileWriter, clear_unpublished, publish_bundle
-from device.bundles.receipt import RECEIPTS, bundle_of
+from device.bundles.check import RECEIPTS, bundle_of
+from device.bundles.layout import (
+    INBOX,
+    MANIFESTS,
+    BundleKind,
+    FileWriter,
+    Listing,
+    bundle_ids,
+    clear_unpublished,
+    is_bundle_id,
+    list_bundles,
+    publish_bundle,
+)
 from device.bundles.record import FileEntry, Identity, encode_record
 from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError, StoreError
 from device.io.lock import locked_directory
-from device.io.os_errors import explain_os_error
-from device.io.permissions import (
+from device.io.system import (
     FOLDER_MODE,
     SHARED_MODE,
     StatVfs,
+    explain_os_error,
     free_bytes,
     free_entries,
     make_folder,
     require_writable,
 )
-from device.store.active import read_active, write_active
 from device.store.deletion import acknowledged_scans, deleted_folders, evict_acknowledged, purge_oldest
 from device.store.device_id import (
     DeviceState,
@@ -47,6 +56,7 @@ from device.store.device_id import (
     start_device,
 )
 from device.store.inbox import InboxItem, copy_calibration, import_inbox
+from device.store.registry_file import read_active, write_active
 from hal.errors import HalError
 from hal.interfaces import Clock
 

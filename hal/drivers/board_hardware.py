@@ -7,11 +7,19 @@ from dataclasses import dataclass
 from functools import partial
 
 from hal.board_profile import BoardProfile, LightDriverConfig
-from hal.drivers.blink_indicator import BlinkIndicator, NoIndicator
 from hal.drivers.button_debounced import DebouncedButton
 from hal.drivers.camera_picamera2 import PicameraCamera
 from hal.drivers.chip_lights import ChipLights, LedChip, LightGate, SwitchedLine
-from hal.drivers.gpio_lines import ENABLE_HIGH, ENABLE_LOW, GpiodInput, GpiodOutput, OpenInput, OutputRole
+from hal.drivers.gpio_lines import (
+    ENABLE_HIGH,
+    ENABLE_LOW,
+    BlinkIndicator,
+    GpiodInput,
+    GpiodOutput,
+    NoIndicator,
+    OpenInput,
+    OutputRole,
+)
 from hal.drivers.i2c_bus import I2cChip, OpenBus, open_smbus
 from hal.drivers.lights_pca9955b import Pca9955b
 from hal.drivers.lights_tlc59116 import Tlc59116

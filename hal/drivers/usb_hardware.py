@@ -8,8 +8,8 @@ import sys
 from typing import Final, Protocol, Self
 
 from hal.board_profile import BoardProfile
-from hal.drivers.blink_indicator import NoIndicator
 from hal.drivers.camera_uvc import ChosenCamera, UvcCamera
+from hal.drivers.gpio_lines import NoIndicator
 from hal.drivers.power_board import BoardPower
 from hal.drivers.uvc_lights import AlwaysOnLights, ZoomControlLights
 from hal.drivers.v4l2_stack import VideoStack

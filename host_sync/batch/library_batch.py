@@ -19,7 +19,7 @@ from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
 from device.io.atomic import remove_tree_quietly
 from device.io.lock import FolderLocked, locked_directory
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.batch.cluster import Unfinished, outcomes_on_cluster
 from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError

@@ -21,7 +21,7 @@ from device.bundles.scan import ScanBundle
 from device.errors import DeviceError
 from device.io.atomic import write_output
 from device.io.lock import FolderLocked, locked_directory
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.batch.library_batch import ScanOutcome, ScanWork, reconstruct_all
 from host_sync.errors import HostError, LibraryError
 from host_sync.library.library import Library

@@ -11,9 +11,16 @@ import numpy as np
 
 from device.balls.detector import TOO_WIDE
 from device.balls.sphere import Ball, BallSamples
-from device.calibration.acceptance import Check, Coverage, check_fit, fit_checks, measure_coverage
+from device.calibration.acceptance import (
+    MAX_RADIUS_SPREAD,
+    PASSED_RESTING,
+    Check,
+    Coverage,
+    check_fit,
+    fit_checks,
+    measure_coverage,
+)
 from device.calibration.fit import InverseFit
-from device.calibration.limits import MAX_RADIUS_SPREAD, PASSED_RESTING
 from device.imaging.flat_field import NormalizedImage
 from device.imaging.frame_light import FrameLight
 from device.inverse_map.model import InverseMap

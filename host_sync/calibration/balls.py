@@ -11,12 +11,12 @@ import numpy as np
 
 from device.balls.detector import SHALLOW, BallSearch, RejectedBall, find_balls, fits
 from device.balls.sphere import Ball, pixels_inside
+from device.calibration.acceptance import MAX_CLIPPED
 from device.calibration.fit import CORE_SHARE, InverseFit, dropped_ball
-from device.calibration.limits import MAX_CLIPPED
 from device.errors import CalibrationError, CalibrationMismatch
-from device.imaging.channel_order import check_channel_order
 from device.imaging.flat_field import LinearFrame, NormalizedImage, check_exposed, flat_field_correct
-from device.surface.fields import Float32Array, MaskArray
+from device.imaging.frame_measures import check_channel_order
+from device.surface import Float32Array, MaskArray
 
 SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""

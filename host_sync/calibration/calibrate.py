@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.inverse_map.skin_at_rest import SkinAtRest
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.calibration.assessment import Assessment, assess, light_notes, with_reference
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.preparation import PreparedPresses, TrainingPress, training_presses

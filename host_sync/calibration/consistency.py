@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from device.calibration.limits import CLEAR_DISAGREEMENT, REFERENCE_CLIPPED
+from device.calibration.acceptance import CLEAR_DISAGREEMENT, REFERENCE_CLIPPED
 from device.errors import CalibrationMismatch, FrameError
 from device.imaging.flat_field import DARK_FLOOR, MAX_DISAGREEMENT, LinearFrame, NormalizedImage, check_exposed
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 
 BLOCKS = 48
 """Frames are compared when reduced to this width."""

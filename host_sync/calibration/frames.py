@@ -11,7 +11,7 @@ from device.balls.sphere import Ball
 from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, flat_field_correct
 from device.imaging.printed_marks import MarkPattern
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.calibration.assessment import DIAMETER, DIAMETER_QUESTION, PIXEL_SHAPE
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate, identified

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 
 MIN_BALLS: Final = 6
 """Fewer balls fit one lattice or another by chance."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from device.balls.detector import MIN_CONTACT, BallSearch, RejectedBall, find_balls
 from device.balls.sphere import Ball
-from device.calibration.limits import MIN_BALLS
+from device.calibration.acceptance import MIN_BALLS
 from device.errors import CalibrationError
 from device.imaging.flat_field import (
     MAX_DISAGREEMENT,
@@ -21,7 +21,7 @@ from device.imaging.flat_field import (
     estimate_flat_field,
     make_flat_field,
 )
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.calibration.balls import PressFrame, UsedPress, drop_clipped, locate, with_found
 from host_sync.calibration.consistency import check_agreement, check_untouched
 from host_sync.calibration.lattice import GROWTH, ON_LATTICE, BallLattice, find_lattice, project

@@ -14,9 +14,9 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball
-from device.calibration.limits import PITCH_COVERAGE, PITCH_GROSS_SHARE
+from device.calibration.acceptance import PITCH_COVERAGE, PITCH_GROSS_SHARE
 from device.errors import CalibrationError
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.calibration.balls import GridSpacing
 from host_sync.calibration.lattice import BallLattice
 

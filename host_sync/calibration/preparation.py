@@ -17,7 +17,7 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_c
 from device.imaging.frame_light import FrameLight
 from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.skin_at_rest import SkinAtRest
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.calibration.balls import FittedBall, PressFrame, UsedPress, check_distinct, check_sizes
 from host_sync.calibration.consistency import check_reference
 from host_sync.calibration.located_presses import flat_field_of, locate_all

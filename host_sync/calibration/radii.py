@@ -16,13 +16,13 @@ import numpy as np
 
 from device.balls.detector import find_balls
 from device.balls.sphere import BallSamples, gather_samples
+from device.calibration.acceptance import MAX_RADIUS_SPREAD
 from device.calibration.fit import BegunFit, InverseFit, begin_fit
-from device.calibration.limits import MAX_RADIUS_SPREAD
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import IlluminationMap
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 from host_sync.calibration.balls import (
     PressFrame,
     UsedPress,

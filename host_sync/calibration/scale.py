@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.pixel_pitch import RECTANGLE, PixelPitch
 from host_sync.results.record import HEIGHT_PER_PITCH

@@ -11,15 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.balls.sphere import Ball, BallSamples, gather_samples, pixels_inside, sphere_slopes
-from device.balls.viewpoint import MIN_HEIGHTS, Viewpoint
+from device.balls.sphere import MIN_HEIGHTS, Ball, BallSamples, Viewpoint, gather_samples, pixels_inside, sphere_slopes
 from device.calibration.fit import BegunFit, InverseFit
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import REST_NODES, InverseMap
 from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import less_noise
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
 from host_sync.calibration.radii import Centres, fit_to, fit_to_best_balls, without_disagreement

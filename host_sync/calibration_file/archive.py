@@ -17,8 +17,8 @@ from typing import BinaryIO, Final
 import msgspec
 
 from device.bundles.fingerprint import Fingerprint
-from hal.decoding import decode_json
 from hal.frame import BayerOrder
+from hal.validation import decode_json
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 

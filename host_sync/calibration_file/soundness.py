@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration

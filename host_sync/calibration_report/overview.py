@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from device.balls.detector import RejectedBall
 from device.balls.sphere import Ball
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.preparation import TrainingPress, pictures_across
 from host_sync.calibration_report.summary import calibration_lines

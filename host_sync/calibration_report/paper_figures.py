@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.johnson2009.lookup_table import MAX_CLUSTERS, slopes_of_bin
 from host_sync.johnson2009.model import PaperModel
 from host_sync.johnson2009.spherical_harmonics import (

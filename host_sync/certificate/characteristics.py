@@ -12,7 +12,7 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.certificate.specimen_measurement import SpecimenFile, SpecimenResult
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from device.surface.fields import Float64Array
-from hal.decoding import decode_toml
+from device.surface import Float64Array
+from hal.validation import decode_toml
 from host_sync.errors import MeasurementError
 from host_sync.frames.frame_set_file import ImageNames
 from host_sync.measurement.height_samples import HeightSamples, StatedScale

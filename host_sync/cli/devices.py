@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.command_line import Folder, print_json
-from device.pairing.exchange import PAIRING_PORT
+from device.pairing import PAIRING_PORT
 from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, print_line, progress
 from host_sync.errors import PairingError, SourceError
 from host_sync.library.library import Library, default_library

@@ -14,7 +14,7 @@ from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_li
 from host_sync.errors import HostError, RenderError
 
 if TYPE_CHECKING:
-    from device.surface.fields import HeightMap
+    from device.surface import HeightMap
     from host_sync.render.still import Still
     from host_sync.viewer.entry import Entry
 
@@ -153,7 +153,7 @@ def _entries(results: tuple[Path, ...]) -> list[Entry]:
 
 
 def _height(entry: Entry) -> HeightMap:
-    from device.surface.fields import HeightMap
+    from device.surface import HeightMap
     from host_sync.viewer.entry import Heights
 
     return HeightMap(Heights().read(entry, entry.pages // 2), entry.pitch_um)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.integration.smoother import CONTRACT
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

@@ -14,7 +14,7 @@ import numpy as np
 
 from device.balls.sphere import Ball, pixels_inside
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.denoising.wavelet_shrinkage import HALO_PX, LEVELS, SHARES, Shrinkage, detail_planes
 
 OUTLYING: Final = 11.34

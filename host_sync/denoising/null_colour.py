@@ -19,9 +19,8 @@ import numpy as np
 
 from device.balls.sphere import BallSamples
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import field_position, monomials
-from device.surface.fields import Float32Array, Float64Array
-from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
+from device.inverse_map.regressor import field_position, monomials
+from device.surface import Float32Array, Float64Array, slope_from_stereographic, stereographic_from_slope
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 
 MAX_SAMPLES: Final = 12_000

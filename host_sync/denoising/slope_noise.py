@@ -15,8 +15,7 @@ import numpy as np
 from device.balls.sphere import BallSamples
 from device.imaging.flat_field import DEMOSAIC_BLUR_PX, NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, Float64Array, HeightMap, surface_slopes
-from device.surface.poisson_dct import integrate_dct
+from device.surface import Float32Array, Float64Array, HeightMap, integrate_dct, surface_slopes
 from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
 from host_sync.denoising.frame_noise import FrameNoise, root_of
 from host_sync.denoising.null_colour import NullColour

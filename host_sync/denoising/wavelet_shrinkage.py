@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import as_stored, colour_rows, empty_planes

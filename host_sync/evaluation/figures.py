@@ -12,12 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from device.balls.sphere import Ball, sphere_slopes
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Ball, Viewpoint, sphere_slopes
 from device.bundles.calibration import CalibrationBundle
 from device.errors import CalibrationError
 from device.io.atomic import atomic_file
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.calibration.calibrate import METHODS, Calibration, Method
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration_file.calibrator import Calibrator

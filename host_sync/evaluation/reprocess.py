@@ -14,7 +14,7 @@ import tifffile
 
 from device.bundles.scan import ScanBundle
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.calibration.calibrate import Method
 from host_sync.errors import ResultError
 from host_sync.library.library import Library

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface, ascii_line
 from host_sync.render.shading import linear_light, tint_table

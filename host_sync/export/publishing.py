@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
 from device.io.atomic import atomic_file
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.errors import ExportError
 
 Writer: TypeAlias = Callable[[BinaryIO], None]

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import DTypeLike
 
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from host_sync.errors import ExportError
 from host_sync.results.doubt import doubtful
 from host_sync.results.reader import read_result

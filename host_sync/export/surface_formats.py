@@ -23,7 +23,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface, ascii_line, integer_quantum, row_blocks
 

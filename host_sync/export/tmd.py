@@ -12,7 +12,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import (
     SourceSurface,

@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import FilterError, MeasurementError
 
 MAX_DEGREE: Final = 10

@@ -19,7 +19,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 ALPHA: Final = float(np.sqrt(np.log(2.0) / np.pi))
 REACH: Final = 4.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from host_sync.frame_checks.layout_check import HALF_TURNS
 
 TURNED_SHARE: Final = 0.7

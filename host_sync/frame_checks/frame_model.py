@@ -16,7 +16,7 @@ import numpy as np
 from device.balls.sphere import Ball, gather_samples
 from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.frame_checks.layout_check import LayoutModel, Turn, turns_of
 from host_sync.frame_checks.level_check import MAX_REACH, LevelModel, LightPositionModel
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.frame_checks.light_levels import cell_logs
 from host_sync.results.record import FrameCheck, not_checked
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from device.imaging.frame_light import FrameLight
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.frame_checks.light_levels import AGREEING, LevelSight, SlopeResponse, pressed_levels, untouched_levels
 from host_sync.results.record import FrameCheck, not_checked
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 CELLS_ACROSS: Final = 48
 SAMPLES_ALONG: Final = 512

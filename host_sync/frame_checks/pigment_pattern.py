@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 SIDE_PX: Final = 128
 MAX_ACROSS: Final = 8

@@ -9,8 +9,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from hal.decoding import decode_toml
-from hal.validation import accepted_at, split_validation
+from hal.validation import accepted_at, decode_toml, split_validation
 from host_sync.errors import FrameSetError
 
 Encoding = Literal["linear", "srgb"]

@@ -14,7 +14,7 @@ import numpy as np
 from device.errors import FrameError, RecordError
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage, bin_bayer
 from device.imaging.frame_light import without_ambient
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 if TYPE_CHECKING:
     from device.bundles.scan import ScanBundle

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from device.imaging.flat_field import SATURATED, LinearFrame, demosaic
 from device.imaging.printed_marks import MarkPattern
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MeasurementError
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from device.inverse_map.model import DISAGREEMENT, REST_WIDTH, TRUSTED_EXCESS
 from device.inverse_map.near_light import MIN_BRIGHTNESS
-from device.inverse_map.polynomial_features import DARK_OFFSET
-from device.surface.fields import Float32Array
+from device.inverse_map.regressor import DARK_OFFSET
+from device.surface import Float32Array
 from host_sync.gradients.polynomial_kernel import add_fourier_terms, write_polynomial
 from host_sync.kernels.jit import njit
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_cells
 
 

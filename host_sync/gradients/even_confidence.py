@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.surface.fields import GradientField, MaskArray
+from device.surface import GradientField, MaskArray
 from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

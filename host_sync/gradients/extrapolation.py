@@ -13,8 +13,8 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import field_position
-from device.surface.fields import Float32Array, MaskArray
+from device.inverse_map.regressor import field_position
+from device.surface import Float32Array, MaskArray
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 

@@ -22,7 +22,7 @@ from device.imaging.flat_field import (
     demosaic,
     flat_field_correct,
 )
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.frames.image_info import Pixels
 from host_sync.kernels.jit import njit

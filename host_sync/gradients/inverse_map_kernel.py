@@ -14,10 +14,8 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
 from device.inverse_map.near_light import PLACE_DEGREE, rows_between_nodes
-from device.inverse_map.polynomial_features import colour_exponents, position_exponents
-from device.inverse_map.regressor import FeatureRegressor
-from device.surface.fields import Float32Array, GradientField, MaskArray
-from device.surface.stereographic import stereographic_size
+from device.inverse_map.regressor import FeatureRegressor, colour_exponents, position_exponents
+from device.surface import Float32Array, GradientField, MaskArray, stereographic_size
 from host_sync.denoising.null_colour import NullColour
 from host_sync.gradients.block_kernels import (
     EXCESS,

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.inverse_map.polynomial_features import RandomFourierFeatures, colour_exponents
-from device.surface.fields import Float32Array
+from device.inverse_map.regressor import RandomFourierFeatures, colour_exponents
+from device.surface import Float32Array
 from host_sync.integration.smoother import CONTRACT
 from host_sync.kernels.jit import njit
 

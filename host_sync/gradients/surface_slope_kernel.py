@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from device.surface.fields import MIN_FOURTH_ORDER, Float32Array, HeightMap
+from device.surface import MIN_FOURTH_ORDER, Float32Array, HeightMap
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 

@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from hal.decoding import decode_json
+from hal.validation import decode_json
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES, natural_order

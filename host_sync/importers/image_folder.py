@@ -21,7 +21,7 @@ import numpy as np
 from device.balls.detector import BallSearch
 from device.errors import DeviceError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.located_presses import (
     ONE_LIGHT,

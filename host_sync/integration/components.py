@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.integration.smoother import REASSOCIATE
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.integration.levels import GridLevel, edge_weights
 
 WINDOW: Final = 8

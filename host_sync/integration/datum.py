@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 

@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.fft import dctn, idctn
 
-from device.surface.fields import Float32Array, Float64Array
-from device.surface.poisson_dct import eigenvalues
+from device.surface import Float32Array, Float64Array, eigenvalues
 from host_sync.integration.coarsening import coarsen, coarsen_pixels
 from host_sync.integration.components import Components, center_cells
 from host_sync.integration.conjugate_gradients import conjugate_gradients

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.errors import IntegrationError
 from host_sync.integration.components import center_rectangle, label_components
 from host_sync.integration.full_multigrid import full_multigrid

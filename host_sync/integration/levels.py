@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.integration.smoother import CONTRACT
 from host_sync.kernels.jit import njit
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.integration.levels import FineLevel, GridLevel
 from host_sync.integration.matrix_free_rows import advance_edges, begin_edges, load_or_build_row, offset_rows, ring
 from host_sync.integration.smoother import (

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.integration.components import Components, row_moments
 from host_sync.integration.levels import first_of, second_of
 from host_sync.integration.smoother import CONTRACT

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.datum import SurfaceCells, height_of_rest_um, is_relief, skin_at_rest
 from host_sync.kernels.jit import njit
 

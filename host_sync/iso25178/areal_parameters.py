@@ -14,7 +14,7 @@ import numpy as np
 import scipy.fft
 from scipy.ndimage import map_coordinates
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.kernels.jit import njit
 
 # Functional parameters of ISO 25178-2 from the areal material ratio curve.

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import scipy.fft
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 BINS_PER_OCTAVE: Final = 6
 EVEN_BANDS: Final = 8

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from host_sync.johnson2009.lookup_table import LookupTable
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

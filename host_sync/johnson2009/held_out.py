@@ -10,7 +10,7 @@ import numpy as np
 from device.balls.sphere import Ball, gather_samples
 from device.calibration.cross_validation import angle_between_deg
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.johnson2009.model import PaperModel, estimate_gradients, fit_paper_model
 
 FOLDS: Final = 3

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.johnson2009.spherical_harmonics import ReflectanceSurface
 from host_sync.kernels.jit import njit
 

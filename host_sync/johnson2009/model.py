@@ -18,7 +18,7 @@ import numpy as np
 
 from device.balls.sphere import BallSamples
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import GradientField, HeightMap
+from device.surface import GradientField, HeightMap
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.johnson2009.gradient_kernel import SOBEL_VARIANCE, GateSettings, estimate_slopes
 from host_sync.johnson2009.lookup_table import LookupTable, build_table, colour_cube

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
 from device.errors import CalibrationError
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 
 if TYPE_CHECKING:
     from scipy.interpolate import RectBivariateSpline

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.kernels.jit import njit
 
 

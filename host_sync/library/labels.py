@@ -13,7 +13,7 @@ from typing import Annotated, Final, Protocol
 import msgspec
 
 from device.io.atomic import replace_file
-from hal.decoding import decode_json
+from hal.validation import decode_json
 from host_sync.errors import LibraryError
 
 LABELS_FILE: Final = "labels.json"

@@ -22,8 +22,7 @@ from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError
 from device.io.atomic import RESULTS, publish_directory, remove_tree_quietly
 from device.io.lock import locked_directory
-from device.io.os_errors import explain_os_error
-from device.io.permissions import make_files_read_only
+from device.io.system import explain_os_error, make_files_read_only
 from host_sync.errors import (
     BusyBundle,
     HostError,

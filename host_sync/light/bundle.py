@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 from host_sync.light.kernel_derivatives import COAT, COAT_SIGMA, COAT_START, EXTENT, Numbers, light_derivatives
 from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms
 

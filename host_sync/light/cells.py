@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from device.inverse_map.skin_at_rest import RESTING
-from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
+from device.surface import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.jit import njit

@@ -14,7 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.bundle import OUTLYING, Bundle
 from host_sync.light.kernel_derivatives import Numbers

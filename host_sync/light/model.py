@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernels import write_light
 

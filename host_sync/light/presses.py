@@ -12,7 +12,7 @@ from device.balls.sphere import Ball, gather_samples, pixels_inside, sphere_slop
 from device.calibration.fit import CORE_SHARE
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap
+from device.surface import Float32Array, Float64Array, GradientField, HeightMap
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.integration.datum import cell_means
 from host_sync.integration.integrate import integrate

@@ -18,8 +18,8 @@ from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.flat_field import DARK_FLOOR, SATURATED, LinearFrame, flat_field_correct
 from device.inverse_map.near_light import GENTLE, direction_features, lit_by
-from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
-from device.surface.fields import Float32Array, Float64Array, GradientField, MaskArray
+from device.inverse_map.regressor import field_position, monomials, position_exponents
+from device.surface import Float32Array, Float64Array, GradientField, MaskArray
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 
 CHANNELS: Final = 3

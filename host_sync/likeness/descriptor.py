@@ -13,7 +13,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import Indescribable
 from host_sync.results.reader import ResultSurface
 

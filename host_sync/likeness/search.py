@@ -16,7 +16,7 @@ import numpy as np
 
 from device.errors import DeviceError
 from device.io.atomic import RESULTS
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import HostError, Indescribable, LibraryError
 from host_sync.library.library import Library
 from host_sync.likeness.descriptor import LENGTH, VERSION, describe_result

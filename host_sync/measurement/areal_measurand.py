@@ -14,7 +14,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import FormRemoval, PolynomialForm
 from host_sync.filters.gaussian_regression import GaussianRegression

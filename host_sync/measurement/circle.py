@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap
+from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.measurement.geometry import SkinPlaces

@@ -17,7 +17,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import ExportError, MeasurementError
 from host_sync.export.source_surface import one_line
 from host_sync.export.tmd import ANY_VERSION, read_tmd

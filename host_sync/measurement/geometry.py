@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.measurement.recipe import MaskTable
 from host_sync.profile.profile_line import Line
@@ -164,7 +164,7 @@ def _height_at(z_um: Float32Array, pitch_um: float, place: Float64Array) -> floa
 #
 # A camera that is not far away sees raised skin larger: what stands z over the untouched skin lies nearer to the middle
 # of the field than its pixel does there, by the share z / h, where h is the height of the camera's pupil
-# (`device/balls/viewpoint.py`).
+# (`device/balls/sphere.py`).
 
 MIN_SHARE: Final = 0.2
 """Skin that is said to stand nearer to the camera than this share of its height is taken to stand there."""

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
+from device.surface import Float32Array, Float64Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.errors import MeasurementError
 from host_sync.integration.zero_level import find_datum
 from host_sync.measurement.geometry import Region

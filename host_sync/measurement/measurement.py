@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.csv_table import table_text
 from host_sync.iso25178.power_spectrum import PowerSpectrum
 from host_sync.measurement.quantity import Quantity

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from device.quick_look.measures import MIN_CUTOFF_PX, ROUNDING
-from device.surface.fields import Float32Array, Float64Array, HeightMap
+from device.quick_look.solver import MIN_CUTOFF_PX, ROUNDING
+from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.filters.gaussian_regression import profile_mean
 from host_sync.iso25178.areal_parameters import AMPLITUDE, SLOPE, ParameterKind

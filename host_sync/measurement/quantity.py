@@ -8,7 +8,7 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.measurement.recipe import ToleranceTable
 from host_sync.results.doubt import DoubtKind
 

@@ -14,8 +14,7 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from hal.decoding import decode_toml
-from hal.validation import split_validation
+from hal.validation import decode_toml, split_validation
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import MAX_DEGREE
 from host_sync.iso25178.areal_parameters import AREAL, AREAL_SUBJECT, GROUPS

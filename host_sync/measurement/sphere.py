@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.kernels.jit import njit
 from host_sync.measurement.geometry import MIN_SHARE, SkinPlaces

@@ -18,7 +18,7 @@ from typing import Any, Final, get_args
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.measurement.measurement import COPY, Measurement
 from host_sync.measurement.quantity import NO_PITCH_SIGMA, VOID, Limits, Quantity, decimals, plain
 from host_sync.results.doubt import REPLACED, DoubtKind

@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import QUARTER, Pose, turning
-from device.surface.fields import Float64Array
+from device.align import QUARTER, Pose, turning
+from device.surface import Float64Array
 from host_sync.mosaic.links import Link
 
 FLOOR_PX: Final = 0.3

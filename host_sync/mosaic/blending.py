@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.align import Pose
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.mosaic.levelling import Levels
 from host_sync.mosaic.presses import Fields, Press

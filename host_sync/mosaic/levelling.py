@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float64Array
+from device.align import Pose
+from device.surface import Float64Array
 from host_sync.mosaic.presses import Small
 from host_sync.registration.resampling import moved
 

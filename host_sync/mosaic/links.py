@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import Pose, turning
-from device.surface.fields import Float32Array, Float64Array
+from device.align import Pose, turning
+from device.surface import Float32Array, Float64Array
 from host_sync.mosaic.overlaps import Candidate
 from host_sync.mosaic.presses import Small
 from host_sync.registration.fit import Fit, Pair, coherence, fit

@@ -8,9 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import Pose
-from device.align.search import PlaceSearch, relief_slopes
-from device.surface.fields import Float64Array
+from device.align import PlaceSearch, Pose, relief_slopes
+from device.surface import Float64Array
 from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MosaicError
 from host_sync.mosaic.presses import Press, Small

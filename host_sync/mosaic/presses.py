@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.align import Pose
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError, UnreadableResult
 from host_sync.mosaic.record import MOSAIC_FILE
 from host_sync.registration.difference import are_copies

@@ -10,8 +10,7 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
-from device.align.pose import Pose
-from device.align.search import APART_PX, relief_slopes
+from device.align import APART_PX, Pose, relief_slopes
 from device.io.atomic import atomic_directory
 from host_sync.errors import MosaicError
 from host_sync.mosaic.adjustment import adjusted

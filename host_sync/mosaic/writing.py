@@ -13,8 +13,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, HeightMap
+from device.align import Pose
+from device.surface import Float32Array, HeightMap
 from host_sync.mosaic.adjustment import Adjusted
 from host_sync.mosaic.blending import Blend, Canvas
 from host_sync.mosaic.levelling import Levels, Meeting

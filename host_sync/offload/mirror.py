@@ -18,7 +18,7 @@ from device.bundles.layout import MANIFESTS, BundleKind, partial_name
 from device.bundles.record import CHUNK_BYTES, FileEntry, checksum_name, describe_file, sha256_bytes
 from device.errors import DeviceError, RecordError
 from device.io.atomic import RESULTS
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost
 from host_sync.library.library import AnyBundle, Library
 from host_sync.library.verification import Verification, verify_library

@@ -25,8 +25,8 @@ from zeroconf import InterfaceChoice, ServiceBrowser, ServiceStateChange, Zeroco
 from device.bundles.record import BundleId, Count, Record, decode_record, encode_record, read_small
 from device.errors import DeviceError, RecordError
 from device.io.atomic import replace_file
-from device.io.os_errors import explain_os_error
-from device.pairing.exchange import (
+from device.io.system import explain_os_error
+from device.pairing import (
     Accepted,
     Answer,
     Call,

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
+from device.bundles.check import RECEIPTS, bundle_of, receipt_name
 from device.bundles.layout import MANIFESTS, BundleKind, is_utf_8
-from device.bundles.receipt import RECEIPTS, bundle_of, receipt_name
 from device.bundles.record import read_small
 from device.errors import DeviceError, RecordError
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost

@@ -15,10 +15,10 @@ from typing import IO, Final
 
 import asyncssh
 
+from device.bundles.check import RECEIPTS
 from device.bundles.layout import BundleKind, BundleNames, bundle_names
-from device.bundles.receipt import RECEIPTS
 from device.io.folder import MAX_ENTRIES, EntryKind, FolderEntry, open_regular
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.errors import HostError, SourceError
 from host_sync.offload.sftp_link import LinkBroken, ReconnectingSftp, Session
 

@@ -20,7 +20,7 @@ import msgspec
 from device.bundles.layout import MANIFESTS, BundleKind, BundleNames, bundle_names
 from device.bundles.record import CHUNK_BYTES
 from device.io.folder import Folder, open_regular
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from host_sync.errors import HostError, NoSource, SourceError, SourceLost
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 
 MIN_SAMPLES = 8

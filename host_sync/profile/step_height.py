@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from device.surface.fields import Float64Array, MaskArray
+from device.surface import Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.profile.profile_line import Profile
 

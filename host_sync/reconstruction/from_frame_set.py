@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from device.calibration.limits import PITCH_GROSS_SHARE
+from device.calibration.acceptance import PITCH_GROSS_SHARE
 from device.errors import DeviceError
 from device.io.atomic import check_replaceable
 from host_sync.calibration.calibrate import Method

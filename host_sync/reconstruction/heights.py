@@ -10,10 +10,10 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.denoising.blur_correction import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame
-from device.surface.fields import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.denoising.blur_correction import without_blur
 from host_sync.gradients.extrapolation import extrapolated

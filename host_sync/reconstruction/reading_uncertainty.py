@@ -9,7 +9,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, GradientField, HeightMap
+from device.surface import Float32Array, GradientField, HeightMap
 from host_sync.integration.zero_level import Datum
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.reconstruction.slope_reading import SlopeReading

@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 
 from device.io.atomic import atomic_directory
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.filters.form import DetailBand, detail
 from host_sync.reconstruction.pipeline import Reconstruction

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.inverse_map.skin_at_rest import RestEvidence
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frame_checks.level_check import check_light

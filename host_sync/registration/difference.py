@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, Float64Array, HeightMap, MaskArray
+from device.align import Pose
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.registration.register import MIN_AGREEMENT, NOTHING_IN_COMMON, Registration, register
 from host_sync.registration.resampling import at_pitch, centred, moved

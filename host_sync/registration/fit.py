@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.align import Pose
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.registration.resampling import centred, moved, reduced
 
 ROUNDS: Final = 20

@@ -8,9 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from device.align.pose import Pose
-from device.align.search import Complex, PlaceSearch, relief_slopes
-from device.surface.fields import Float32Array, Float64Array, HeightMap
+from device.align import Complex, PlaceSearch, Pose, relief_slopes
+from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
 from host_sync.registration.resampling import at_pitch, reduced

@@ -7,8 +7,8 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, HeightMap
+from device.align import Pose
+from device.surface import Float32Array, HeightMap
 from host_sync.errors import ViewError
 from host_sync.kernels.jit import njit
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, HeightMap, surface_slopes
+from device.surface import Float32Array, HeightMap, surface_slopes
 from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import (
     exaggeration_for,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from device.surface.fields import HeightMap, MaskArray
+from device.surface import HeightMap, MaskArray
 from host_sync.render.shading import (
     Picture,
     exaggeration_for,

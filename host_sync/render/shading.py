@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.kernels.jit import njit
 
 LIGHT_AZIMUTH_DEG: Final = 135.0

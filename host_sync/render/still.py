@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.errors import RenderError
 from host_sync.kernels.jit import njit
 from host_sync.render.picture_file import ReliefGif, ReliefMovie

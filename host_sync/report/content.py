@@ -10,8 +10,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from hal.decoding import decode_toml
-from hal.validation import split_validation
+from hal.validation import decode_toml, split_validation
 from host_sync.errors import MeasurementError
 
 VERDICT_HEAD: Final = "tolerance"

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 
 from device.bundles.scan import MovieRecord, ScanBundle
 from device.imaging.flat_field import demosaic
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.iso25178.areal_parameters import MaterialRatioCurve, core_line, core_parameters
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.measurement.recipe import DistanceTable, ProfileTable, StepTable

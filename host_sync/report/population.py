@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 from matplotlib.figure import Figure
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.errors import HostError, MeasurementError
 from host_sync.measurement.measurement import Measurement, operations
 from host_sync.measurement.quantity import Quantity, plain

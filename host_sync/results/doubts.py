@@ -18,7 +18,7 @@ from device.bundles.check import CHECK_FILE, CheckRecord, doubt_of_checks
 from device.bundles.record import Identity
 from device.bundles.scan import SCAN_MANIFEST, LightFaultRecord, VerdictRecord
 from device.calibration.acceptance import SECTORS, sector_indices
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.results.doubt import REPLACED, Doubt, DoubtKind
 from host_sync.results.record import ResultRecord, SequenceRecord, read_record, refusals
 

@@ -19,7 +19,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from host_sync.errors import UnreadableResult
 
 MAX_PIXELS: Final = 1 << 26

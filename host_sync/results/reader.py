@@ -10,7 +10,7 @@ from typing import Final, TypeVar
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.results.doubt import Doubt
 from host_sync.results.doubts import result_doubts
 from host_sync.results.field_file import MAX_TILE_VALUES, read_field, read_mask, read_samples

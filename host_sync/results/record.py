@@ -9,9 +9,8 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array
-from hal.decoding import decode_json
-from hal.validation import explain_validation
+from device.surface import Float32Array
+from hal.validation import decode_json, explain_validation
 from host_sync.errors import UnreadableResult
 from host_sync.results.doubt import Doubt
 from host_sync.results.field_file import MAX_PIXELS

@@ -24,7 +24,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.registration.difference import Difference
 
 POWER: Final = 1.5

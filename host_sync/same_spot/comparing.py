@@ -10,9 +10,9 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.align.pose import Pose
+from device.align import Pose
 from device.io.atomic import atomic_directory
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.errors import ViewError
 from host_sync.registration.difference import Difference, are_copies, difference
 from host_sync.render.picture_file import write_any_picture

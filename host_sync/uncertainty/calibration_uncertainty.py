@@ -17,7 +17,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows

@@ -17,9 +17,8 @@ from device.balls.sphere import Ball, BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import GENTLE, direction_features, lit_by
-from device.inverse_map.polynomial_features import field_position, monomials, position_exponents
-from device.surface.fields import Float32Array, Float64Array, HeightMap
-from device.surface.poisson_dct import integrate_dct
+from device.inverse_map.regressor import field_position, monomials, position_exponents
+from device.surface import Float32Array, Float64Array, HeightMap, integrate_dct
 from host_sync.gradients.cell_slopes import cell_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 

@@ -16,7 +16,7 @@ import numpy as np
 from device.balls.sphere import Ball
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.uncertainty.slope_error import SlopeError, error_by_tilt
 
 CHANNELS: Final = 3

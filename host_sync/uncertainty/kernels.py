@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 

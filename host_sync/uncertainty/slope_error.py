@@ -27,7 +27,7 @@ from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import MIN_PIXELS as MIN_BAND_PIXELS
 from device.calibration.fit import InverseFit, SlopeBand
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball, with_gains
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 from hal.frame import RawFrame
 from host_sync.csv_table import table_text
 from host_sync.frames.sequence import BadFrame, StoredFrame

@@ -9,10 +9,10 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame, NormalizedImage
 from device.inverse_map.skin_at_rest import RestEvidence
-from device.surface.fields import Float32Array, GradientField, HeightMap
+from device.surface import Float32Array, GradientField, HeightMap
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.gradients.inverse_map_kernel import SlopeKernel

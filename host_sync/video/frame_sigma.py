@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, surface_slopes
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.integration.zero_level import Datum
 from host_sync.reconstruction.reading_uncertainty import known_scale_share, slope_error_of

@@ -15,7 +15,7 @@ import numpy as np
 from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, flat_field_correct
 from device.imaging.frame_light import FrameLight
 from device.imaging.frame_measures import shaded_fraction
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration

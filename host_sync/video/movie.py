@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.render.picture_file import MAX_RATE_HZ, ReliefGif, ReliefMovie
 from host_sync.render.relief_sheet import ReliefSheet
 from host_sync.render.shading import Picture, exaggeration_for, height_range_um, reduced, steep_slope

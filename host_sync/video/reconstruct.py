@@ -20,7 +20,7 @@ import numpy as np
 import tifffile
 
 from device.io.atomic import atomic_directory
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame

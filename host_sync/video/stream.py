@@ -20,7 +20,7 @@ import numpy as np
 
 from device.errors import DeviceError
 from device.imaging.frame_light import FrameLight
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.errors import HalError
 from host_sync.errors import HostError
 from host_sync.frames.sequence import BadFrame, StoredFrame

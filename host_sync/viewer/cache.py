@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import ViewError
 from host_sync.kernels.cache import user_cache
 from host_sync.viewer.entry import Entry, Heights

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from device.quick_look.solver import HEIGHT_FILE as QUICK_LOOK_FILE
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
 from host_sync.library.labels import Label

@@ -26,7 +26,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from device.errors import DeviceError
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from hal.errors import HalError
 from host_sync.errors import HostError
 from host_sync.render.shading import steep_slope

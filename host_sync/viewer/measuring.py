@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import MaterialRatioCurve, core_line, core_parameters
 from host_sync.measurement.measurement import Measurement

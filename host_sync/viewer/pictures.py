@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from device.bundles.scan import read_scan
 from device.errors import DeviceError
 from device.imaging.flat_field import demosaic
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.errors import HostError, ViewError
 from host_sync.frames.frame_set import ScanSpec
 from host_sync.frames.linear_light import read_frame

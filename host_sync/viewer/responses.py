@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from starlette.responses import Response
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 from host_sync.csv_table import table_text
 from host_sync.errors import ViewError
 from host_sync.profile.profile_line import Line, Profile, bilinear

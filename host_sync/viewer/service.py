@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.profile.profile_line import Line
@@ -217,7 +217,7 @@ class ViewerService:
 
     def _make_difference(self, first: Entry, second: Entry, folder: Path, near: NearPose | None) -> DifferenceRecord:
         # Compiled code is loaded when it is first needed, so that the list appears at once.
-        from device.align.pose import Pose
+        from device.align import Pose
         from host_sync.registration.difference import difference
 
         pose = None

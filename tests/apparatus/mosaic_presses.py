@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, Float64Array
+from device.align import Pose
+from device.surface import Float32Array, Float64Array
 from host_sync.mosaic.presses import Fields, Press
 from host_sync.registration.resampling import between_pixels
 from host_sync.results.field_file import write_field

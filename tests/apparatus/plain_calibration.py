@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from device.inverse_map.model import InverseMap
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.frame_checks.frame_model import FrameModel
 from tests.apparatus.matt_light import matt_model, stated
 

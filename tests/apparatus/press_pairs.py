@@ -13,9 +13,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, HeightMap
-from device.surface.poisson_dct import integrate_dct
+from device.align import Pose
+from device.surface import Float32Array, HeightMap, integrate_dct
 from hal.simulator.elastomer import drape
 from hal.simulator.surfaces import Block, Coin, Groove, Plane, Sinusoid, Sphere, SphereGrid, Step, Surface, Texture
 

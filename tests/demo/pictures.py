@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.render.figures import draw_relief, figure_pixels, figure_png
 from tests.demo.truth_judge import Judgement
 

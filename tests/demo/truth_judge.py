@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.simulator.bench import TwinTruth
 from host_sync.reconstruction.pipeline import Reconstruction
 

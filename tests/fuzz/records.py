@@ -17,15 +17,15 @@ import atheris
 
 with atheris.instrument_imports(include=["device", "host_sync", "tifffile", "numpy.lib"]):
     from device.bundles.calibration import decode_calibration
+    from device.bundles.check import Receipt
     from device.bundles.raw_frame import read_raw
-    from device.bundles.receipt import Receipt
     from device.bundles.record import decode_record
     from device.bundles.scan import decode_scan
     from device.errors import DeviceError
-    from device.inverse_map.npz import read_model
-    from device.pairing.exchange import Answer, Call, DeviceCard, HostCard, Opening
-    from device.store.active import ActiveCalibration
+    from device.inverse_map.model import read_model
+    from device.pairing import Answer, Call, DeviceCard, HostCard, Opening
     from device.store.device_id import DeviceState
+    from device.store.registry_file import ActiveCalibration
     from host_sync.errors import HostError
     from host_sync.offload.paired_devices import PairedDevice, SyncState
 

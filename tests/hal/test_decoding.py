@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from hal.decoding import decode_json, decode_toml
+from hal.validation import decode_json, decode_toml
 
 NOT_TEXT = {
     "a picture": (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "it is not text in UTF-8: save it as UTF-8"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from hal.decoding import decode_toml
+from hal.validation import decode_toml
 
 
 class Table(msgspec.Struct):

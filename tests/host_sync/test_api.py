@@ -20,7 +20,7 @@ import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
 from pressed_frames import write_frame_set
 
-from device.align.pose import Pose
+from device.align import Pose
 from device.errors import OutputError
 from host_sync import api
 from host_sync.calibration_file.kept_calibration import KeptCalibration

@@ -11,9 +11,9 @@ import pytest
 import rawpy
 import tifffile
 
-from device.bundles.receipt import is_receipted
+from device.bundles.check import is_receipted
 from device.imaging.flat_field import bin_bayer
-from device.inverse_map.npz import read_model
+from device.inverse_map.model import read_model
 from device.quick_look.solver import QuickLookModel, quick_look
 from device.store.store import BundleStore
 from hal.clock import VirtualClock

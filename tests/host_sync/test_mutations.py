@@ -18,16 +18,15 @@ import pytest
 import tifffile
 
 from device.bundles.calibration import CalibrationBundle, read_calibration
+from device.bundles.check import Receipt
 from device.bundles.raw_frame import read_raw
-from device.bundles.receipt import Receipt
 from device.bundles.record import checksum_name, decode_record, manifest_checksum
 from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError
-from device.inverse_map.model import InverseMap
-from device.inverse_map.npz import read_model
-from device.pairing.exchange import Answer, Call, DeviceCard, HostCard, Opening
-from device.store.active import ActiveCalibration
+from device.inverse_map.model import InverseMap, read_model
+from device.pairing import Answer, Call, DeviceCard, HostCard, Opening
 from device.store.device_id import DeviceState
+from device.store.registry_file import ActiveCalibration
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.errors import HostError

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray
 
 OWN: Final = -1
 """The terminal's default colour."""

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from device.tui.drawing.cells import OWN, CellGrid, ColourDepth, colour_cells, fitted_shape, grey_cells, resampled
 from device.tui.drawing.relief import (
     LEGEND_COLUMNS,

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, HeightMap, MaskArray
 from device.tui.drawing.cells import HATCH, CellGrid, ColourDepth, colour_cells, grey_cells, resampled
 
 MIN_SPAN_UM: Final = 4.0

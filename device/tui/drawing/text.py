@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 
 from device.bundles.scan import Annotations, VerdictLevel
-from device.calibration.acceptance import DIRECTIONS, SIDES, Check, Coverage
-from device.calibration.limits import PASSED_STEEPEST_DEG
-from device.quick_look.measures import (
+from device.calibration.acceptance import DIRECTIONS, PASSED_STEEPEST_DEG, SIDES, Check, Coverage
+from device.quick_look.solver import (
     Point,
     Roughness,
     areal_roughness,
@@ -21,7 +20,7 @@ from device.quick_look.measures import (
     line_between,
     line_roughness,
 )
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 
 GAUGE_FULL: Final = "■"
 GAUGE_EMPTY: Final = "·"

@@ -12,7 +12,7 @@ from device.acquisition.auto_exposure import ExposureBalance
 from device.acquisition.capture import CaptureSettings
 from device.acquisition.selftest import Finding
 from device.bundles.check import UNITS, CheckRecord
-from device.imaging.exposure import HIGHEST_LEVEL
+from device.imaging.frame_light import HIGHEST_LEVEL
 from device.imaging.frame_measures import FocusReading
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import (

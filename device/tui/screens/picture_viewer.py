@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from device.tui.drawing.relief import HeightRange, height_colours, height_text, lit
 
 MAX_VIEW_S: Final = 60.0

@@ -18,7 +18,7 @@ from device.instrument.history import History, ScanEntry
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.store.choices import Opinion
-from device.surface.fields import Float64Array, HeightMap
+from device.surface import Float64Array, HeightMap
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.relief import EIGHTHS, HALVES
 from device.tui.drawing.text import local_time, screen_advice, sticky_text

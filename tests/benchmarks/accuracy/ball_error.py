@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from device.surface.fields import Float32Array, HeightMap, surface_slopes
+from device.surface import Float32Array, HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
 
 INNER_SHARE: Final = 0.9

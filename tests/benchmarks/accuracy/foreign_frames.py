@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.imaging.flat_field import LinearFrame, estimate_flat_field, flat_field_correct, make_flat_field
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.frame_checks.frame_model import FrameModel
 from host_sync.frames.frame_set import FrameSet, load_frame_set
 from host_sync.frames.linear_light import read_frame

@@ -26,8 +26,7 @@ from device.calibration.candidates import RegressorFit, RegressorForm, fit_regre
 from device.imaging.flat_field import LinearFrame, NormalizedImage, estimate_flat_field, flat_field_correct
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
-from device.surface.fields import GradientField
-from device.surface.stereographic import stereographic_from_slope
+from device.surface import GradientField, stereographic_from_slope
 from host_sync.export.tmd import read_tmd
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.linear_light import read_frame

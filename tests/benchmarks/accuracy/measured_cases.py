@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, HeightMap, MaskArray
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import ProfileTable, RadiusTable, Recipe, StepTable

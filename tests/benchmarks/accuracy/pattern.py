@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 PERIODS: Final = 20
 TAPER_PX: Final = 8.0

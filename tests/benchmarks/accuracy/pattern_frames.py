@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.board_profile import BoardProfile, TwinConfig
 from hal.frame import RawFrame
 from hal.simulator.lens import Lens

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from device.imaging.flat_field import demosaic
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.board_profile import BoardProfile
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import calibrate_frame_set

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.simulator.bench import TwinTruth
 from host_sync.reconstruction.pipeline import Reconstruction
 from tests.benchmarks.accuracy.ball_error import inner_contact

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from device.surface.fields import Float32Array, HeightMap
+from device.surface import Float32Array, HeightMap
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import ProfileTable, Recipe
 from host_sync.results.reader import ResultSurface

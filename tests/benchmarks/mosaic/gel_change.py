@@ -23,7 +23,7 @@ from device.acquisition.calibrate import calibrate
 from device.acquisition.capture import CaptureSettings, capture
 from device.imaging.flat_field import demosaic
 from device.store.store import BundleStore
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.simulator.bench import build

@@ -22,8 +22,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.align.pose import Pose, turning
-from device.surface.fields import Float32Array, Float64Array, HeightMap
+from device.align import Pose, turning
+from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press

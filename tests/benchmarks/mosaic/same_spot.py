@@ -20,7 +20,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.surface.fields import Float64Array, HeightMap
+from device.surface import Float64Array, HeightMap
 from hal.simulator.surfaces import Surface
 from host_sync.errors import RegistrationRefused
 from host_sync.registration.difference import difference

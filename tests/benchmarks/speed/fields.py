@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array, GradientField, full_rectangle
+from device.surface import Float32Array, GradientField, full_rectangle
 
 SLOPE_NOISE = 0.02
 """Standard deviation of a slope's noise where the weight is 1."""

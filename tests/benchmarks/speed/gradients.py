@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.calibration.calibrate import Calibration
 from tests.benchmarks.speed.machine import cores
 from tests.benchmarks.speed.ours_slopes import estimate_slopes

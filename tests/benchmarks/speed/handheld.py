@@ -16,8 +16,7 @@ from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import bin_bayer, flat_field_correct
 from device.inverse_map.model import InverseMap
 from device.quick_look.solver import QuickLookModel, quick_look
-from device.surface.fields import Float32Array, Float64Array, GradientField
-from device.surface.poisson_dct import integrate_dct
+from device.surface import Float32Array, Float64Array, GradientField, integrate_dct
 from tests.benchmarks.speed.fresh import fresh
 from tests.benchmarks.speed.height_error import error_share
 from tests.benchmarks.speed.plan import Plan, Shape, named

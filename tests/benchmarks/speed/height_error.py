@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from device.surface.fields import Float32Array, Float64Array
+from device.surface import Float32Array, Float64Array
 
 
 def error_share(z_px: Float32Array, truth_px: Float32Array | Float64Array) -> float:

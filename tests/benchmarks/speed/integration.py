@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.integration.integrate import Integrator, integrate
 from host_sync.integration.levels import EdgeRule
 from tests.benchmarks.speed import peer_dct

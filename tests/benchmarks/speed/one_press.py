@@ -20,7 +20,7 @@ from device.instrument.events import CaptureDone, Event, PressRefused, PressSeen
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
-from hal.drivers.blink_indicator import RHYTHMS
+from hal.drivers.gpio_lines import RHYTHMS
 from hal.interfaces import ButtonPress
 from hal.simulator.bench import SimulatedScene, build
 from hal.simulator.operator import specimen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.gradients.inverse_map_kernel import evaluate
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from tests.benchmarks.speed.peer_dct import divergence, divide_by_eigenvalues
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 
 class KeptDct:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from tests.benchmarks.speed.sparse_system import SparseSystem
 
 

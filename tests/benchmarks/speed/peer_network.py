@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 CHUNK = 1 << 16
 """Pixels per chunk: its activations stay in cache."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from tests.benchmarks.speed.sparse_system import SparseSystem
 
 TOLERANCE = 1e-5

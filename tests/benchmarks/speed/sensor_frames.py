@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from device.imaging.frame_light import FrameLight
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync import api
 from host_sync.frames.image_file import read_image
 from host_sync.video.frame_solver import FrameSolver, StoredFrame

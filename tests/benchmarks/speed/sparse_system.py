@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 
-from device.surface.fields import Float32Array, GradientField
+from device.surface import Float32Array, GradientField
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import numpy as np
 
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import demosaic
-from device.surface.fields import MaskArray
+from device.surface import MaskArray
 from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration
 from host_sync.frames.sequence import StoredFrame

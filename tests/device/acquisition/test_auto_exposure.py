@@ -11,7 +11,7 @@ from device.acquisition.auto_exposure import AIMED_LEVEL, MIN_STEPS, auto_exposu
 from device.acquisition.capture import capture
 from device.acquisition.guided_calibration import press_places
 from device.errors import CalibrationError
-from device.imaging.exposure import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Brightness, channel_levels
+from device.imaging.frame_light import BRIGHTEST_PERCENTILE, HIGHEST_LEVEL, Brightness, channel_levels
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware

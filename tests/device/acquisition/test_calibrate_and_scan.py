@@ -16,7 +16,7 @@ from device.acquisition.guided_calibration import press_places
 from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations, LightFaultRecord
 from device.errors import CalibrationError, CalibrationMismatch, NoCalibration, StoreError
-from device.inverse_map.npz import read_model
+from device.inverse_map.model import read_model
 from device.quick_look.solver import HEIGHT_FILE, PICTURE_FILE
 from device.store.store import BundleStore
 from hal.hardware import Hardware

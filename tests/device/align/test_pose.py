@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.align.pose import Pose
+from device.align import Pose
 
 ONE, OTHER = Pose(3.0, -2.0, 0.3), Pose(-1.0, 5.0, -0.7)
 PLACES = np.array([[0.0, 0.0], [10.0, 0.0], [-4.0, 7.0]])

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from device.align.pose import Pose
-from device.align.search import APART_PX, PlaceSearch, is_apart, relief_slopes, seen_at
-from device.surface.fields import Float32Array
+from device.align import APART_PX, PlaceSearch, Pose, is_apart, relief_slopes, seen_at
+from device.surface import Float32Array
 
 SHAPE = (90, 120)
 TURNS_DEG = tuple(range(-15, 16, 3))

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from device.balls.sphere import Ball, sphere_slopes
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Ball, Viewpoint, sphere_slopes
 
 VIEW = Viewpoint(480.0, 360.0, 2000.0)
 RADIUS, APEX = 250.0, 110.0

@@ -9,12 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from device.balls.sphere import Ball, BallSamples, sphere_slopes
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Ball, BallSamples, Viewpoint, sphere_slopes
 from device.calibration.candidates import RegressorFit
 from device.calibration.centre_refinement import FEW_BALLS, SHIFT_TAKEN, _recentred, refine, true_slopes
-from device.surface.fields import Float64Array
-from device.surface.stereographic import stereographic_from_slope
+from device.surface import Float64Array, stereographic_from_slope
 
 VIEW = Viewpoint(250.0, 200.0, 900.0)
 TRUE = tuple(Ball(100.0 * (1 + i % 4), 100.0 * (1 + i // 4), 30.0, 60.0) for i in range(12))

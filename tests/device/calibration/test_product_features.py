@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from device.calibration.product_features import ProductFeatures
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
     RandomFourierFeatures,
     colour_exponents,
     monomial_rows,
     monomials,
     position_exponents,
 )
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 
 PIXELS = 5000
 

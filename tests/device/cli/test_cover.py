@@ -17,7 +17,7 @@ from device.guidance.cover_task import CoverTask, Stand
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.simulator.bench import build

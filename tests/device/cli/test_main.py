@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 from limits import running
 
-import device.cli.demo
+import device.cli.guide
 import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
-from device.cli.demo import folder_name
+from device.cli.guide import folder_name
 from device.cli.main import OLD_COMMANDS, app, chosen_board, main
 from device.instrument.demo_faults import DemoFaults
 from device.instrument.instrument import Instrument
-from device.pairing.exchange import HostCard, leave_host_card, read_device_card
+from device.pairing import HostCard, leave_host_card, read_device_card
 from device.store.store import BundleStore
 from hal.board_profile import load_board_profile
 from hal.clock import VirtualClock
@@ -298,8 +298,8 @@ def test_the_demonstration_takes_the_options_before_it_and_ends_with_the_screens
         return 5
 
     store = shutil.copytree(calibrated_root, tmp_path / "store")
-    monkeypatch.setattr(device.cli.demo, "require_terminal", lambda: None)
-    monkeypatch.setattr(device.cli.demo, "show_screens", show)
+    monkeypatch.setattr(device.cli.guide, "require_terminal", lambda: None)
+    monkeypatch.setattr(device.cli.guide, "show_screens", show)
     assert main(["--board", str(small_board), "--store", str(store), "demo"]) == 5
     assert main(["--board", str(small_board), "--store", str(tmp_path), "demo", "--store", str(store)]) == 5
     assert shown == [(store, load_board_profile(str(small_board)).name)] * 2

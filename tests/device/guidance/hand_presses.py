@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.simulator.elastomer import drape
 
 PITCH_MM = 0.1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from device.guidance.placement import Placement, Target, Unplaced
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from tests.device.guidance.hand_presses import PITCH_MM, Relief
 
 

@@ -5,7 +5,7 @@ from datetime import timedelta
 import pytest
 
 from device.bundles.check import CheckStandard, StandardKind
-from device.bundles.publishing import FileWriter
+from device.bundles.layout import FileWriter
 from device.bundles.scan import ScanBundle, ScanRecord
 from device.instrument.events import Checked, Failed, ScanFinished
 from device.instrument.instrument import Instrument

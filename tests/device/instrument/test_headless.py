@@ -18,7 +18,7 @@ from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument
 from device.pairing_service.service import PairingSetup
 from device.store.store import BundleStore
-from hal.drivers.blink_indicator import BlinkIndicator
+from hal.drivers.gpio_lines import BlinkIndicator
 from hal.errors import IndicatorError
 from hal.interfaces import ButtonPress, OperatorRequest
 from hal.simulator.bench import SimulatedScene

@@ -27,7 +27,7 @@ from device.instrument.events import (
 )
 from device.instrument.instrument import Instrument
 from device.instrument.state import PairingState
-from device.pairing.exchange import (
+from device.pairing import (
     Accepted,
     Answer,
     Call,

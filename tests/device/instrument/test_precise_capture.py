@@ -12,11 +12,10 @@ from device.bundles.scan import CaptureMode, ScanBundle
 from device.imaging.flat_field import SATURATED, bin_bayer, flat_field_correct, make_flat_field
 from device.instrument.events import ScanFinished
 from device.instrument.instrument import Instrument
-from device.inverse_map.model import InverseMap
-from device.inverse_map.npz import read_model
+from device.inverse_map.model import InverseMap, read_model
 from device.store.choices import Settings
 from device.store.store import BundleStore
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from hal.frame import RawFrame
 from hal.hardware import Hardware
 from hal.interfaces import ButtonPress

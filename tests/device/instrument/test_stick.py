@@ -8,7 +8,7 @@ from device.bundles.scan import read_scan
 from device.errors import StoreError
 from device.instrument.instrument import Instrument
 from device.store.deletion import acknowledged_scans
-from device.store.stick import find_stick
+from device.store.inbox import find_stick
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene

@@ -8,16 +8,16 @@ import pytest
 from device.balls.sphere import Ball, BallSamples, sphere_slopes
 from device.calibration.candidates import Lesson
 from device.errors import RecordError
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
     AMPLITUDE,
     MAX_WAVES,
     WAVES,
+    FeatureRegressor,
     FeatureScaler,
     RandomFourierFeatures,
     colour_exponents,
     position_exponents,
 )
-from device.inverse_map.regressor import FeatureRegressor
 
 SHAPE = (240, 320)
 

@@ -6,7 +6,7 @@ import pytest
 from device.balls.sphere import BallSamples
 from device.inverse_map.gentle_skin import GentleSkin
 from device.inverse_map.near_light import IlluminationMap
-from device.inverse_map.polynomial_features import field_position
+from device.inverse_map.regressor import field_position
 
 SHAPE = (120, 160)
 BALLS = 12

@@ -13,8 +13,8 @@ from device.errors import CalibrationError, CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import IlluminationMap
-from device.inverse_map.polynomial_features import colour_exponents, monomials, position_exponents
-from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
+from device.inverse_map.regressor import colour_exponents, monomials, position_exponents
+from device.surface import slope_from_stereographic, stereographic_from_slope
 
 SHAPE = (240, 320)
 RADIUS_PX = 50.0

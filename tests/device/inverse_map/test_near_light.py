@@ -5,7 +5,7 @@ import pytest
 
 from device.balls.sphere import BallSamples
 from device.inverse_map.near_light import GENTLE, MIN_BRIGHTNESS, NearLightModel
-from device.inverse_map.polynomial_features import field_position
+from device.inverse_map.regressor import field_position
 
 SHAPE = (120, 160)
 LIGHTS = 2.5 * np.array([[np.cos(a), np.sin(a), 0.6] for a in np.radians([90.0, 210.0, 330.0])])

@@ -12,8 +12,7 @@ from device.inverse_map.branches import RawLightBranch, light_at_rest
 from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import measure_noise_bias
-from device.inverse_map.polynomial_features import FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.tabulated import TabulatedInverseMap
 from device.inverse_map.training_domain import TrainingDomain
 

@@ -10,11 +10,10 @@ from scipy.interpolate import CubicSpline
 from device.bundles.calibration import CalibrationBundle
 from device.calibration.cross_validation import angle_between_deg
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
-from device.inverse_map.model import InverseMap
-from device.inverse_map.npz import read_model
+from device.inverse_map.model import InverseMap, read_model
 from device.inverse_map.tabulated import TabulatedInverseMap, spline_weights
-from device.store.active import read_active
-from device.surface.fields import GradientField
+from device.store.registry_file import read_active
+from device.surface import GradientField
 
 BINNING = 2
 SHAPE = (136, 182)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.inverse_map.polynomial_features import DARK_OFFSET, FeatureScaler, log_intensity
+from device.inverse_map.regressor import DARK_OFFSET, FeatureScaler, log_intensity
 from device.inverse_map.training_domain import TrainingDomain
 
 

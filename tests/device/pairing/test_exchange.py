@@ -9,7 +9,7 @@ import pytest
 
 from device.bundles.record import decode_record
 from device.errors import RecordError
-from device.pairing.exchange import Call, DeviceCard, HostCard, Opening, code_of, commitment_to, draw_number, opens
+from device.pairing import Call, DeviceCard, HostCard, Opening, code_of, commitment_to, draw_number, opens
 
 KEY = "ssh-ed25519 " + "A" * 68
 HOST = HostCard(name="bench", public_key=KEY)

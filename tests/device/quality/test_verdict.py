@@ -3,8 +3,8 @@ import pytest
 
 from device.bundles.scan import VerdictRecord
 from device.errors import CalibrationMismatch
-from device.imaging.channel_order import check_channel_order
 from device.imaging.flat_field import LinearFrame, NormalizedImage
+from device.imaging.frame_measures import check_channel_order
 from device.quality.verdict import LIGHTS_UNKNOWN, Evidence, InstrumentContext
 
 SHAPE = (120, 160)

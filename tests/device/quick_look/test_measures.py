@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from device.quick_look.measures import (
+from device.quick_look.solver import (
     areal_roughness,
     difference,
     levelled,
@@ -13,7 +13,7 @@ from device.quick_look.measures import (
     line_roughness,
     mean_line,
 )
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from device.tui.drawing.text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.gaussian_regression import profile_mean

@@ -8,11 +8,10 @@ import pytest
 from device.bundles.calibration import CalibrationBundle
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import bin_bayer, demosaic, flat_field_correct, make_flat_field
-from device.inverse_map.model import InverseMap
-from device.inverse_map.npz import read_model
+from device.inverse_map.model import InverseMap, read_model
 from device.quick_look.solver import QuickLookModel, quick_look, quick_look_binning
-from device.store.active import read_active
-from device.surface.poisson_dct import integrate_dct
+from device.store.registry_file import read_active
+from device.surface import integrate_dct
 from hal.frame import RawFrame
 
 

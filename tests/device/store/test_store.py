@@ -13,12 +13,12 @@ import msgspec
 import pytest
 
 from device.bundles.calibration import CalibrationBundle
-from device.bundles.receipt import Receipt
+from device.bundles.check import Receipt
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle, ScanRecord
 from device.errors import FrameNotConfirmed, NoCalibration, RecordError, StoreError
 from device.io.lock import locked_directory
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 from device.store.deletion import evict_acknowledged
 from device.store.store import RESERVE_BYTES, BundleStore, default_store
 from hal.clock import VirtualClock

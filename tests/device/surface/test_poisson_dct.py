@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from device.surface.poisson_dct import integrate_dct
+from device.surface import integrate_dct
 
 
 def slopes_of(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from device.cli.demo import prepare
+from device.cli.guide import prepare
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from tests.device.tui.conftest import Stage

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from console_font import DRAWN
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from device.tui.drawing.cells import HATCH, OWN, fitted_shape, resampled
 from device.tui.drawing.height_picture import Room, height_picture
 from device.tui.drawing.relief import (

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from device.tui.screens.picture_viewer import INVALID, encoded, graphics_of, picture_text, relief_picture
 
 

@@ -17,7 +17,7 @@ WITHOUT = "pass"
 PROGRAM = """
 {start}
 import sys
-from device.cli.start import main
+from device.__main__ import main
 sys.exit(main(sys.argv[1:]))
 """
 

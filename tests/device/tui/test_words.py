@@ -11,7 +11,7 @@ from each_case import each_case
 
 from device.calibration.acceptance import Check
 from device.guidance.guide import Advice, GuideReading
-from device.imaging.exposure import Brightness
+from device.imaging.frame_light import Brightness
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, LiveView
 from device.tui.drawing.cells import colour_depth
 from device.tui.drawing.text import age_text, check_lines, coverage_lines, gauge_text, shortened, signed_percent

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from pressed_frames import write_frame_set
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.errors import CalibrationError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.certificate.certificate_job import RECORD_FILE, check_specimen, write_certificate
 from host_sync.certificate.certificate_pages import Certificate, HashedFile, verdict_of

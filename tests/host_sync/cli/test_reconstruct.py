@@ -21,7 +21,7 @@ from device.acquisition.scanner import Scanner
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import demosaic
 from device.store.store import BundleStore
-from device.surface.fields import HeightMap, surface_slopes
+from device.surface import HeightMap, surface_slopes
 from hal.board_profile import BoardProfile
 from hal.clock import VirtualClock
 from hal.hardware import Hardware

@@ -19,8 +19,8 @@ from device.bundles.calibration import CalibrationBundle
 from device.bundles.raw_frame import write_raw
 from device.bundles.scan import Annotations
 from device.imaging.flat_field import MOVIE_BINNING, demosaic, make_flat_field
-from device.inverse_map.npz import MODEL_FILE, read_model
-from device.store.active import read_active
+from device.inverse_map.model import MODEL_FILE, read_model
+from device.store.registry_file import read_active
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.interfaces import PressObject

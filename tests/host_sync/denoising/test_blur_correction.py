@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.denoising.blur_correction import without_blur
 
 BLUR_PX = 0.6

@@ -9,10 +9,9 @@ import pytest
 
 from device.balls.sphere import BallSamples
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import DARK_OFFSET, FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import DARK_OFFSET, FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
-from device.surface.stereographic import slope_from_stereographic, stereographic_from_slope
+from device.surface import slope_from_stereographic, stereographic_from_slope
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
 from host_sync.denoising.null_colour import MAX_MISREAD, NullColour, learn_null_colour

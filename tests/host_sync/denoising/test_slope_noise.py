@@ -6,8 +6,7 @@ import pytest
 from device.balls.sphere import BallSamples
 from device.imaging.flat_field import DEMOSAIC_BLUR_PX
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.denoising.blur_correction import BLUR_PX
 from host_sync.denoising.bounded_shrinkage import shrinkage_of

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.cli.main import main
 
 ROWS, COLUMNS, PITCH_UM = 37, 53, 12.0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 
 SIZE_M = (53 * 12e-6, 37 * 12e-6)
 Read = Callable[[Path], dict[int, dict[str, Any]]]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.cli.main import main
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.surface_export import ExportChoices, export_surface

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.cli.main import main
 
 PITCH_UM = 12.0

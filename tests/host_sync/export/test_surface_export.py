@@ -17,7 +17,7 @@ import pytest
 
 from device.bundles.scan import ScanBundle
 from device.store.store import BundleStore
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.cli.export import ExportFormat
 from host_sync.cli.main import main
 from host_sync.export.surface_export import FORMATS, file_stem

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.cli.main import main
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import SourceSurface

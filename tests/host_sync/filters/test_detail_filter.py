@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.errors import FilterError
 from host_sync.filters.form import DetailBand, detail
 from host_sync.filters.gaussian_regression import gaussian_mean

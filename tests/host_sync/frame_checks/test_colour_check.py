@@ -5,8 +5,7 @@ import pytest
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.frame_checks.colour_check import check_datum, check_frame
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.calibration.limits import REFERENCE_CLIPPED
+from device.calibration.acceptance import REFERENCE_CLIPPED
 from device.errors import FrameError
 from host_sync import api
 from host_sync.calibration.consistency import check_reference

@@ -7,8 +7,7 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap, rest_nodes
 from device.inverse_map.noise_bias import less_noise
-from device.inverse_map.polynomial_features import FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.gradients.cell_slopes import cell_slopes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.gradients.even_confidence import CELL_PX, even_confidence
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 

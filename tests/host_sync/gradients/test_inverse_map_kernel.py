@@ -11,13 +11,13 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve
 from device.inverse_map.model import InverseMap, rest_nodes
 from device.inverse_map.near_light import IlluminationMap, NearLightModel
-from device.inverse_map.polynomial_features import (
+from device.inverse_map.regressor import (
+    FeatureRegressor,
     FeatureScaler,
     RandomFourierFeatures,
     colour_exponents,
     position_exponents,
 )
-from device.inverse_map.regressor import FeatureRegressor
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.denoising.null_colour import NullColour
 from host_sync.gradients.inverse_map_kernel import evaluate

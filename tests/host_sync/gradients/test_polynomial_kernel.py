@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.inverse_map.polynomial_features import colour_exponents, monomials
+from device.inverse_map.regressor import colour_exponents, monomials
 from host_sync.gradients.polynomial_kernel import tabled_degree, term_numbers, write_polynomial
 from host_sync.kernels.planes import as_stored, colour_rows, empty_planes, in_planes
 

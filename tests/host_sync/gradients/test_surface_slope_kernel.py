@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
-from device.surface.fields import surface_slopes as portable
+from device.surface import HeightMap
+from device.surface import surface_slopes as portable
 from host_sync.gradients.surface_slope_kernel import surface_slopes
 
 

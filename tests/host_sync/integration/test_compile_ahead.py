@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.integration.integrate import compile_integration, integrate
 from host_sync.kernels.compile_time import CompileTime
 

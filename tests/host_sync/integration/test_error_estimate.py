@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.fft import dctn, idctn
 
-from device.surface.fields import GradientField, full_rectangle
+from device.surface import GradientField, full_rectangle
 from host_sync.integration.integrate import integrate
 
 SHAPE = (130, 97)

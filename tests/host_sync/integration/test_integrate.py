@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.errors import IntegrationError
 from host_sync.integration.integrate import Integrator, integrate
 from host_sync.integration.levels import EdgeRule

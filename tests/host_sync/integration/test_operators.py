@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from device.surface.fields import GradientField, full_rectangle
-from device.surface.poisson_dct import integrate_dct
+from device.surface import GradientField, full_rectangle, integrate_dct
 from host_sync.errors import IntegrationError
 from host_sync.integration.coarsening import coarsen, coarsen_pixels
 from host_sync.integration.components import label_components

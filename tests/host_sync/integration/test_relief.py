@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField, HeightMap, MaskArray
-from device.surface.poisson_dct import integrate_dct
+from device.surface import GradientField, HeightMap, MaskArray, integrate_dct
 from host_sync.integration.datum import is_relief
 from host_sync.integration.zero_level import find_datum
 

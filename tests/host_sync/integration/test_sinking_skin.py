@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField, HeightMap
+from device.surface import GradientField, HeightMap
 from host_sync.integration.zero_level import MAX_SHARE, SPREAD_SHARE, Datum, _unbent_at, height_left_um
 
 SHAPE = (240, 320)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.surface.fields import Float32Array, GradientField, HeightMap, MaskArray
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from host_sync.integration.datum import SurfaceCells
 
 PITCH_UM = 12.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField, HeightMap
+from device.surface import GradientField, HeightMap
 from host_sync.integration.zero_level import SPREAD_SHARE, block_medians, find_datum
 
 SHAPE, PITCH_UM = (240, 320), 10.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.johnson2009.model import integrate_forward_difference
 
 PITCH_UM = 5.0

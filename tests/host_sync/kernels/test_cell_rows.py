@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.kernels.cell_rows import bordered, cells_above, expand_cells, means_of_cells
 
 RUN = 11

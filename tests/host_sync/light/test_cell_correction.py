@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.light.cells import SHADOW_WEIGHT
 from host_sync.light.reading import CellCorrection
 

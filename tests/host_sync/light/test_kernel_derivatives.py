@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from device.surface.fields import Float64Array
+from device.surface import Float64Array
 from host_sync.light.kernel_derivatives import COAT, COAT_START, EXTENT, Numbers, light_derivatives
 from host_sync.light.kernels import write_search
 from host_sync.light.model import ELEVATION, MONOMIALS, PLACES, TERMS, LightModel

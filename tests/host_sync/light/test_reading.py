@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from device.imaging.flat_field import NormalizedImage
 from device.imaging.frame_light import FrameLight
 from device.inverse_map.skin_at_rest import RestEvidence
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.integration.integrate import integrate
 from host_sync.kernels.cell_rows import WIDEST_CELLS
 from host_sync.light.cells import SHADOW_WEIGHT

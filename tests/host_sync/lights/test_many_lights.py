@@ -9,7 +9,7 @@ import pytest
 from near_lamps import RADIUS_PX, SHAPE, balls, press_px
 
 from device.errors import CalibrationError, CalibrationMismatch
-from device.surface.fields import GradientField
+from device.surface import GradientField
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
 from host_sync.calibration.frames import calibrate_lights

@@ -11,7 +11,7 @@ import pytest
 from mosaic_presses import press_of_map, write_press
 from press_pairs import Hand, press
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from hal.simulator.operator import specimen
 from host_sync.cli.main import main
 from host_sync.errors import Indescribable

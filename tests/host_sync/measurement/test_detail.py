@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.surface.poisson_dct import integrate_dct
+from device.surface import integrate_dct
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
 from host_sync.results.reader import read_result

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
 from host_sync.measurement.foreign_file import map_difference

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.measurement.height_samples import FineNoise, HeightSamples, StatedScale
 from host_sync.measurement.measure import measure, measure_result

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from device.bundles.scan import MovieFrameRecord, MovieRecord
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.report.content import Picture, Report
 from host_sync.report.pictures import movie_picture, overview_picture
 from host_sync.report.writing import html_page

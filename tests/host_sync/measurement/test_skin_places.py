@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.measurement.geometry import SkinPlaces
 from host_sync.measurement.measure import measure
 from host_sync.measurement.recipe import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mosaic_presses import errors_px, grid_places
 
-from device.align.pose import Pose
+from device.align import Pose
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.links import Link
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mosaic_presses import Target, errors_px, grid_places, press_of_map, pressed, rough_target
 
-from device.align.pose import Pose
+from device.align import Pose
 from host_sync.errors import MosaicError
 from host_sync.mosaic.overlaps import Layout
 from host_sync.mosaic.presses import Press, Small, small_of

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mosaic_presses import PITCH_UM, Target, errors_px, grid_places, press_of_map, pressed, rough_target
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, MaskArray
+from device.align import Pose
+from device.surface import Float32Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe

@@ -17,7 +17,7 @@ import msgspec
 import pytest
 
 from device.errors import PairingRefused, RecordError
-from device.pairing.exchange import (
+from device.pairing import (
     Accepted,
     Answer,
     Call,

@@ -16,7 +16,7 @@ import pytest
 from limits import join
 
 from device.errors import RecordError
-from device.pairing.exchange import (
+from device.pairing import (
     Accepted,
     Answer,
     Call,

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from device.balls.viewpoint import Viewpoint
-from device.surface.fields import GradientField, HeightMap
-from device.surface.poisson_dct import integrate_dct
+from device.balls.sphere import Viewpoint
+from device.surface import GradientField, HeightMap, integrate_dct
 from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes
 
 SHAPE = (301, 401)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.reconstruction.heights import raw_slope_sigma, with_raw_detail
 from host_sync.results.record import SlopeNoise
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from near_lamps import RADIUS_PX, SHAPE, press_px
 
-from device.balls.sphere import Ball, BallSamples
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Ball, BallSamples, Viewpoint
 from device.imaging.flat_field import LinearFrame, flat_field_correct
 from host_sync.calibration.calibrate import Calibration, identified
 from host_sync.denoising.bounded_shrinkage import shrinkage_of

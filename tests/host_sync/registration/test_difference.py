@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from device.align.pose import Pose
-from device.surface.fields import HeightMap
+from device.align import Pose
+from device.surface import HeightMap
 from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.registration.difference import difference
 from host_sync.registration.register import MIN_AGREEMENT, register

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from press_pairs import OBJECTS, PressPair, Prism, depth_pairs, hand_pairs
 
-from device.align.pose import Pose
+from device.align import Pose
 from hal.simulator.surfaces import Block, Groove
 from host_sync.registration.fit import Pair, middle_px
 from host_sync.registration.register import COARSE_PX, Registration, register

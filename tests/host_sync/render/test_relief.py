@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.render.relief_sheet import ReliefSheet, round_below, ticks, write_relief
 from host_sync.render.shading import (
     exaggeration_for,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.errors import RenderError
 from host_sync.render.relief_sheet import CELL_PX, contact_sheet
 from host_sync.render.shading import ambient_occlusion, shade, shadow_mask

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mosaic_presses import press_of_map, pressed, rough_target, write_press
 
-from device.align.pose import Pose
-from device.surface.fields import Float32Array, HeightMap
+from device.align import Pose
+from device.surface import Float32Array, HeightMap
 from host_sync.cli.main import main
 from host_sync.registration.difference import are_copies, difference
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER, changes

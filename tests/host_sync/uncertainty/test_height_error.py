@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from device.surface.fields import GradientField, HeightMap, surface_slopes
+from device.surface import GradientField, HeightMap, surface_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 from host_sync.integration.integrate import integrate
 from host_sync.integration.zero_level import Datum, block_medians

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from device.balls.viewpoint import Viewpoint
-from device.surface.fields import GradientField, HeightMap
+from device.balls.sphere import Viewpoint
+from device.surface import GradientField, HeightMap
 from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes
 from host_sync.video.fine_pass import CoarseReading, FineCorrection, block_moments, level
 

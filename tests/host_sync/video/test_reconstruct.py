@@ -15,15 +15,12 @@ import pytest
 import tifffile
 from PIL import Image
 
-from device.balls.viewpoint import Viewpoint
+from device.balls.sphere import Viewpoint
 from device.errors import CalibrationMismatch, OutputError
 from device.inverse_map.model import InverseMap
-from device.inverse_map.polynomial_features import DARK_OFFSET, FeatureScaler
-from device.inverse_map.regressor import FeatureRegressor
+from device.inverse_map.regressor import DARK_OFFSET, FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
-from device.surface.fields import GradientField, HeightMap
-from device.surface.poisson_dct import integrate_dct
-from device.surface.stereographic import stereographic_from_slope
+from device.surface import GradientField, HeightMap, integrate_dct, stereographic_from_slope
 from host_sync.errors import SequenceError
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.reconstruction.slope_reading import seen_elevation, seen_slopes

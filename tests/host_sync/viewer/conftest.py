@@ -20,7 +20,7 @@ from limits import join
 
 from device.bundles.scan import Annotations, ScanBundle, ScanRecord, VerdictRecord
 from device.store.store import BundleStore
-from device.surface.fields import Float32Array
+from device.surface import Float32Array
 from host_sync.results.field_file import write_field
 from host_sync.video.reconstruct import HeightStack
 from host_sync.viewer.access import Access

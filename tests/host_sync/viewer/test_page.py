@@ -14,7 +14,7 @@ import tifffile
 from drawn_frames import settle
 
 from device.bundles.scan import ScanBundle
-from device.surface.fields import HeightMap
+from device.surface import HeightMap
 from host_sync.render.shading import shade
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -1,13 +1,13 @@
-"""Permissions of a store: its owner may do everything; its group (the offload user) reads, and writes in two folders.
-
-Modes are set explicitly, because a umask that lets groups write must not open the scans to them.
-"""
+"""Permissions of a store, the operating system's errors in words, and freed memory handed back to it."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -65,3 +65,38 @@ def free_entries(folder: Path, statvfs: StatVfs) -> int:
     """Return how many more files a file system can hold; 2^40 where it does not count them."""
     facts = statvfs(folder)
     return facts.f_favail if facts.f_files else _MANY
+
+
+_ADVICE: Final = {
+    errno.ENOSPC: "free space on it",
+    errno.EDQUOT: "free space on it",
+    errno.EROFS: "mount it writable",
+    errno.EACCES: "let this user read and write it",
+    errno.EPERM: "let this user read and write it",
+    errno.ENOTDIR: "name a folder",
+    errno.EEXIST: "name a folder",
+    errno.EISDIR: "name a file",
+    errno.ENOENT: "connect or mount it again",
+    errno.ENODEV: "connect or mount it again",
+    errno.EIO: "check the card or disk, and copy what is on it to another",
+    errno.EMFILE: "close other programs, or raise the limit of open files",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ELOOP: "name the folder itself, not a link to it",
+    errno.ENOLCK: "put it on a file system that can lock, such as ext4",
+    errno.EOPNOTSUPP: "put it on a file system that can lock, such as ext4",
+}
+
+
+def explain_os_error(error: OSError) -> str:
+    """Return the reason and what to do, such as "(No space left on device): free space on it"."""
+    return f"({error.strerror or error}): {_ADVICE.get(error.errno or 0, 'choose another folder')}"
+
+
+def give_back_memory() -> None:
+    """Give freed memory back, after work whose intermediate fields are large; nothing where libc cannot.
+
+    Without it the GNU libc keeps tens of megabytes of every thread's freed fields.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)

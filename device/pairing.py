@@ -21,7 +21,7 @@ import msgspec
 from device.bundles.record import BundleId, Record, decode_record, encode_record
 from device.errors import RecordError, StoreError
 from device.io.folder import Folder
-from device.io.os_errors import explain_os_error
+from device.io.system import explain_os_error
 
 CODE_DIGITS: Final = 6
 PAIRING_PORT: Final = 8022

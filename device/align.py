@@ -1,7 +1,9 @@
-"""Coarse search for the place of one press in another: slopes of reduced maps, correlated over shift and turn.
+"""Shift and turn between two presses: poses in the plane, and a coarse search for one press in another.
 
-A correlation over an overlap of A pixels has a noise of √A where the presses have nothing in common; the height of a
-peak over that noise ranks the places. Callers refine and judge them.
+Places are (row, column) from the middle of a press, in any one unit of length. A turn is clockwise on the screen.
+The search correlates slopes of reduced maps over shift and turn. A correlation over an overlap of A pixels has a noise
+of √A where the presses have nothing in common; the height of a peak over that noise ranks the places. Callers refine
+and judge them.
 """
 
 from __future__ import annotations
@@ -12,11 +14,66 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from device.align.pose import Pose, turning
-from device.surface.fields import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
+
+QUARTER: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
+"""Derivative of `turning` by its angle, at none."""
+
+
+def turning(turn: float) -> Float64Array:
+    """Return the rotation of places (row, column) by `turn` (rad): float64 array of shape (2, 2)."""
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return np.array([[cosine, sine], [-sine, cosine]])
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Shift and turn that lead from places u of one press to places s + M(turn) u of another, or of a mosaic.
+
+    down, right : the shift s, in the unit of the places, mostly px
+    turn : rad
+    """
+
+    down: float = 0.0
+    right: float = 0.0
+    turn: float = 0.0
+
+    def of(self, places: ArrayLike) -> Float64Array:
+        """Return where places, an array of shape (…, 2), lie."""
+        return np.asarray(places) @ turning(self.turn).T + (self.down, self.right)
+
+    def then(self, other: Pose) -> Pose:
+        """Return this pose and the other after it as one."""
+        down, right = other.of((self.down, self.right))
+        return Pose(float(down), float(right), self.turn + other.turn)
+
+    def back(self) -> Pose:
+        """Return the inverse pose."""
+        return Pose(-self.down, -self.right).then(Pose(turn=-self.turn))
+
+    def moved_by(self, down: float, right: float, turn: float = 0.0) -> Pose:
+        """Return the pose with this added to its shift and turn."""
+        return Pose(float(self.down + down), float(self.right + right), float(self.turn + turn))
+
+    def in_units_of(self, length: float) -> Pose:
+        """Return the same pose of places in another unit, whose length is given in the present one."""
+        return Pose(float(self.down / length), float(self.right / length), self.turn)
+
+    def distance(self, other: Pose, reach: float) -> float:
+        """Return the largest distance between the places of a point by either pose, to first order.
+
+        reach : distance of the farthest point from the middle
+        """
+        turn = (self.turn - other.turn + np.pi) % (2.0 * np.pi) - np.pi
+        return float(np.hypot(self.down - other.down, self.right - other.right) + reach * abs(turn))
+
+    def distance_at(self, other: Pose, place: tuple[float, float]) -> float:
+        """Return the distance between where both put a place."""
+        return float(np.hypot(*(self.of(place) - other.of(place))))
+
 
 SMOOTHED_PX: Final = 0.7
 LONG_WAVE_PX: Final = 5.0

@@ -1,1 +1,0 @@
-"""Gradient fields, height maps and the Poisson solver by cosine transform."""
