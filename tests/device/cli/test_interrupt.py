@@ -19,7 +19,7 @@ def interrupt(event, details):
     if event == "import" and details[0] == wanted:
         wanted = None
         signal.raise_signal(signal.{signal})
-from {package}.cli.start import main
+from {package}.__main__ import main
 sys.addaudithook(interrupt)
 sys.exit(main(sys.argv[1:]))
 """
