@@ -226,8 +226,7 @@ def reconstruct_many(
     >>> [bool(result.height_um.max() > 100.0) for result in found]
     [True, False]
     """
-    from host_sync.api_arguments import check_calibration
-    from host_sync.api_stream import reconstructed_in_order
+    from host_sync.api_arguments import check_calibration, reconstructed_in_order
 
     check_calibration(calibration)
     return reconstructed_in_order(lambda image: reconstruct(image, calibration, **options), images, workers)
@@ -263,8 +262,7 @@ def stream(
     ...         print(frame.height_um.shape, f"{frame.contact.depth_um:.0f} µm deep")
     (288, 384) ... µm deep
     """
-    from host_sync.api_arguments import check_calibration, check_choice
-    from host_sync.api_stream import open_stream
+    from host_sync.api_arguments import check_calibration, check_choice, open_stream
 
     check_calibration(calibration)
     for argument, given, choices in (

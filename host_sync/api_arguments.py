@@ -1,10 +1,11 @@
-"""Checks of the arguments of `host_sync.api`: wrong values end in one sentence."""
+"""Checks of the arguments of `host_sync.api`, whose errors are one sentence; and its streams and series."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -12,8 +13,10 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from device.balls.sphere import Ball
+from device.errors import DeviceError
 from device.imaging.flat_field import LinearFrame
 from device.surface import Float32Array, GradientField
+from host_sync.api_types import HeightFrame, HeightStream
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import (
@@ -23,17 +26,20 @@ from host_sync.errors import (
     HostError,
     IntegrationError,
 )
-from host_sync.frames.equal_channels import check_channels
+from host_sync.frames.channel_counts import check_channels, count_values, full_scale_of
 from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
-from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
+from host_sync.frames.image_info import check_one_orientation, square_pitch
 from host_sync.frames.linear_light import frame_of_values, read_frame
-from host_sync.frames.orientation import check_one_orientation, square_pitch
+from host_sync.integration.zero_level import NO_ZERO
+from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.results.reader import ResultSurface, read_result
+from host_sync.video.frame_solver import FrameSolver
+from host_sync.video.stream import LiveHeights, SolvedFrame, in_order, open_live
 
 if TYPE_CHECKING:
-    from host_sync.api_types import Encoding, Image, Press
+    from host_sync.api_types import Encoding, Image, Method, Press, Result
 
 
 def check_choice(name: str, value: object, choices: object) -> None:
@@ -276,3 +282,45 @@ def check_workers(given: object) -> int:
     if isinstance(given, int) and given > 0:
         return given
     raise ArgumentError(f"workers {given!r} is not accepted; accepted is a whole number above 0")
+
+
+def reconstructed_in_order(
+    reconstruct: Callable[[Image], Result], images: Iterable[Image], workers: int | None
+) -> Iterator[Result | HostError | DeviceError]:
+    """Yield what `reconstruct` returns of every image, or the error that it raises, a thread for each worker."""
+
+    def guarded(image: Image) -> Result | HostError | DeviceError:
+        try:
+            return reconstruct(image)
+        except (HostError, DeviceError) as error:
+            return error
+
+    workers = check_workers(workers)
+    threads = -(-get_num_threads() // workers)
+    with ThreadPoolExecutor(workers, "images", set_num_threads, (threads,)) as executor:
+        yield from in_order((executor.submit(guarded, image) for image in images), workers)
+
+
+def open_stream(
+    source: Any, calibration: KeptCalibration, kept: str | None, sigma: bool, encoding: Encoding | None,
+    full_scale: int | None, method: Method | None, force: bool,
+) -> HeightStream:  # fmt: skip
+    """Return the stream of a source; arguments as of `host_sync.api.stream`, checked."""
+    solver = FrameSolver.of(calibration, method, encoding, full_scale=full_scale, force=force)
+    live = open_live(source, solver, newest=None if kept is None else kept == "newest", sigma=sigma)
+    return HeightStream(
+        (_height_frame(one, live, solver.pitch_um) for one in live),
+        solver.shape,
+        solver.pitch_um,
+        lambda: (live.dropped, live.problem),
+        live.close,
+    )
+
+
+def _height_frame(solved: SolvedFrame, live: LiveHeights, pitch_um: float) -> HeightFrame:
+    problem = solved.reason
+    if solved.statistics is not None and solved.statistics.is_relative:
+        problem = NO_ZERO
+    return HeightFrame(
+        solved.number, solved.name, live.time_s(solved), solved.height_um, solved.sigma_um, pitch_um, problem
+    )

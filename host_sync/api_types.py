@@ -95,7 +95,7 @@ class Result:
         from base64 import b64encode
         from html import escape
 
-        from host_sync.viewer.pictures import thumbnail
+        from host_sync.viewer.responses import thumbnail
 
         picture = b64encode(thumbnail(self.height_um, self.pitch_um)).decode()
         doubts = "".join(f"<li>doubt: {escape(words)}</li>" for words in self.warnings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from device.acquisition.gel_profile import profile_with_mounted_gel
+from device.acquisition.capture import profile_with_mounted_gel
 from device.acquisition.scanner import BYTES_PER_PIXEL
 from device.cli.console import Given, Options, open_store, print_line
 from device.command_line import Folder, print_json

@@ -10,8 +10,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.acquisition.calibrate import calibrate
-from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.gel_profile import with_active_gel
+from device.acquisition.capture import CaptureSettings, capture, with_active_gel
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
 from device.cli.console import Count, Given, GivenSimulated, Text, open_store, print_line, print_note, store_folder

@@ -12,12 +12,11 @@ from cyclopts import Parameter
 
 from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
-from device.acquisition.gel_profile import calibration_settings, keep_balance, with_active_gel
+from device.acquisition.capture import calibration_settings, keep_balance, with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
 from device.acquisition.movie import MOVIE_S, frames_that_fit
 from device.acquisition.precise_capture import mode_fault
 from device.acquisition.scanner import Scanner, ScanOutcome
-from device.acquisition.sd_notify import SdNotify
 from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord
 from device.bundles.scan import Annotations, CaptureMode
@@ -31,7 +30,7 @@ from device.cli.console import (
     print_note,
     store_folder,
 )
-from device.cli.service import ServiceReport, import_inbox
+from device.cli.service import SdNotify, ServiceReport, import_inbox
 from device.command_line import print_json
 from device.errors import CaptureModeRefused
 from device.imaging.frame_light import Brightness

@@ -17,9 +17,8 @@ from threading import Event as Flag
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
 from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
-from device.acquisition.sd_notify import SdNotify
 from device.cli.console import Given, open_store, store_folder
-from device.cli.service import ServiceReport
+from device.cli.service import SdNotify, ServiceReport
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
 from device.tui.drawing.cells import colour_depth

@@ -11,8 +11,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.gel_profile import calibration_settings, with_active_gel
+from device.acquisition.capture import CaptureSettings, calibration_settings, capture, with_active_gel
 from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle

@@ -31,7 +31,7 @@ from device.instrument.worker import InstrumentWorker
 from device.machine.interfaces import Machine
 from device.machine.real_machine import real_machine
 from device.machine.twin_machine import twin_machine
-from device.pairing_service.service import PairingSetup
+from device.pairing_service.window import PairingSetup
 from device.store.choices import (
     SETTINGS,
     Opinion,

@@ -11,8 +11,9 @@ from typing import Final
 from device.errors import DeviceError, RecordError
 from device.instrument.events import Failed, PairingChanged
 from device.instrument.state import PairingState, StateStore
-from device.pairing_service.service import (
+from device.pairing_service.window import (
     PairingSetup,
+    PairingWindow,
     describe_code,
     fingerprint_of,
     has_keys,
@@ -20,7 +21,6 @@ from device.pairing_service.service import (
     open_pairing_window,
     read_host_key,
 )
-from device.pairing_service.window import PairingWindow
 from device.store.store import BundleStore
 from hal.interfaces import Clock
 

@@ -19,14 +19,13 @@ from host_sync.calibration.preparation import PreparedPresses, TrainingPress, tr
 from host_sync.calibration.radii import Centres
 from host_sync.calibration.slope_models import SlopeModels, slope_sigma_of
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage
-from host_sync.denoising.null_colour import NullColour, learn_null_colour
+from host_sync.denoising.frame_noise import NullColour, learn_null_colour
 from host_sync.denoising.slope_noise import measure_slope_noise
 from host_sync.frame_checks.frame_model import FrameModel
-from host_sync.johnson2009.held_out import held_out_paper_deg
-from host_sync.johnson2009.model import PaperModel, fit_paper_model
+from host_sync.johnson2009.model import PaperModel, fit_paper_model, held_out_paper_deg
 from host_sync.light.fit import FittedLight
 from host_sync.light.model import Position
-from host_sync.lights.light_groups import LightGroups
+from host_sync.light_groups import LightGroups
 from host_sync.results.record import SlopeNoise
 from host_sync.results.typed_members import as_members
 from host_sync.uncertainty.elevation import ElevationCorrection

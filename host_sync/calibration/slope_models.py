@@ -22,11 +22,10 @@ from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
 from host_sync.calibration.radii import Centres, fit_to, fit_to_best_balls, without_disagreement
-from host_sync.gradients.cell_slopes import cell_slopes
+from host_sync.gradients.inverse_map_kernel import cell_slopes
 from host_sync.kernels.cell_rows import middles_of_cells
-from host_sync.light.fit import FittedLight
+from host_sync.light.fit import FittedLight, Press, confirmed_fraction, fit_light_of_presses, held_out_readers
 from host_sync.light.model import Position
-from host_sync.light.presses import Press, confirmed_fraction, fit_light_of_presses, held_out_readers
 from host_sync.uncertainty.elevation import ElevationCorrection, apexes_px, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
 

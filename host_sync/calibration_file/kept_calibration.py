@@ -24,9 +24,9 @@ from host_sync.calibration_report.report import (
     BALL_PICTURES,
     PAPER_PICTURES,
     REPORT_FILE,
+    calibration_lines,
     report_files,
 )
-from host_sync.calibration_report.summary import calibration_lines
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.results.files import OVERVIEW_FILE

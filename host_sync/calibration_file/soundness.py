@@ -17,14 +17,14 @@ from device.balls.sphere import Viewpoint
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.calibration.calibrate import METHODS, Calibration
-from host_sync.denoising.null_colour import NullColour
+from host_sync.denoising.frame_noise import NullColour
 from host_sync.frame_checks.light_levels import cells_shape
 from host_sync.frame_checks.pigment_pattern import ReferencePattern, WindowGrid
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.johnson2009.lookup_table import CANDIDATE_FIELDS, LookupTable
 from host_sync.johnson2009.spherical_harmonics import FULL_ORDER, HarmonicFit
 from host_sync.light.model import PLACES, TERMS
-from host_sync.lights.light_groups import NUMBERS_OF_TERMS
+from host_sync.light_groups import NUMBERS_OF_TERMS
 from host_sync.results.record import SlopeNoise
 from host_sync.uncertainty.slope_error import SlopeError
 

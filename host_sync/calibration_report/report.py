@@ -1,4 +1,4 @@
-"""The calibration report: a record and the pictures by which a person judges it."""
+"""The calibration report: a record and the pictures by which a person judges it, and its summary in lines of text."""
 
 from __future__ import annotations
 
@@ -7,10 +7,37 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from device.calibration.acceptance import Check
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.johnson2009.model import PaperModel
-from host_sync.render.figures import figure_png
+from host_sync.render.picture_file import figure_png
+
+
+def calibration_lines(calibration: Calibration) -> tuple[str, ...]:
+    """Return the verdict and key values; then what to press next, and notes, one sentence each."""
+    assessment = calibration.assessment
+    failed = [_failed(check) for check in assessment.checks if not check.passed]
+    balls = sum(len(press.balls) for press in calibration.presses)
+    figures = [f"{balls} balls"]
+    if calibration.inverse.held_out_deg is not None:
+        figures.append(f"held-out error {calibration.inverse.held_out_deg:.2f} degrees")
+    share = assessment.scale.height_share
+    missing = " and ".join(assessment.scale.not_measured)
+    figures.append(f"height scale ± {share:.2%}" if share is not None else f"± of the height scale unknown ({missing})")
+    verdict = f"did not pass: {', '.join(failed)}" if failed else "passed"
+    following = assessment.coverage.next_presses() if failed else ()
+    return (
+        f"calibration {verdict} ({', '.join(figures)})",
+        *following,
+        *assessment.notes,
+        *calibration.frame_model.blind,
+    )
+
+
+def _failed(check: Check) -> str:
+    return f"{check.name} {check.words}"
+
 
 SCHEMA = "retrograph.calibration-report/1"
 REPORT_FILE = "report.json"
@@ -24,7 +51,7 @@ PAPER_PICTURES = ("reflectance-maps.png", "ambiguous-bins.png")
 def report_files(calibration: Calibration) -> dict[str, bytes]:
     """Return contents of `report.json` and the pictures, by name."""
     # matplotlib takes longer to load than a kept calibration takes to read, whose report is drawn already.
-    from host_sync.calibration_report.balls_figure import balls_figure, residuals_figure
+    from host_sync.calibration_report.overview import balls_figure, residuals_figure
 
     drawn = (balls_figure(calibration.presses), residuals_figure(calibration))
     figures = dict(zip(BALL_PICTURES, drawn, strict=True))

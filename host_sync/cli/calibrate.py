@@ -94,8 +94,7 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
     """Measure the specimens and write the certificate."""
     described = load_frame_set(frame_set)
     tell_of_compiling()
-    from host_sync.certificate.certificate_job import certificate_of_frame_set
-    from host_sync.certificate.certificate_pages import verdict_words
+    from host_sync.certificate.certificate_pages import certificate_of_frame_set, verdict_words
     from host_sync.report.writing import NO_BROWSER
 
     with status_spinner() as tell:
@@ -210,7 +209,7 @@ def say_source(kept: KeptCalibration, source: str) -> None:
 
 def say_calibration(kept: KeptCalibration, source: str) -> None:
     """Print the calibration and its verdict."""
-    from host_sync.calibration_report.summary import calibration_lines
+    from host_sync.calibration_report.report import calibration_lines
 
     say_source(kept, source)
     for line in calibration_lines(kept.calibration):

@@ -15,7 +15,7 @@ from host_sync.kernels.cache import holds_kernels, prune_cache
 from host_sync.text import printable
 
 if TYPE_CHECKING:
-    from host_sync.kernels.compile_time import CompileTime
+    from host_sync.kernels.jit import CompileTime
 
 DONE: Final = 0
 PARTLY: Final = 1
@@ -110,7 +110,7 @@ def tell_of_compiling() -> None:
     prune_cache()
     if sys.stderr.isatty() and not holds_kernels() and not _COMPILE_TIMES:
         sys.stderr.write("retrosync: this first run compiles for this machine, about a minute; later runs do not\n")
-        from host_sync.kernels.compile_time import CompileTime  # here, because it loads the compiler
+        from host_sync.kernels.jit import CompileTime  # here, because it loads the compiler
 
         _COMPILE_TIMES.append(CompileTime())
 

@@ -23,7 +23,7 @@ from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library
 
 if TYPE_CHECKING:
-    from host_sync.render.figures import StoryRow
+    from host_sync.render.picture_file import StoryRow
 
 OBJECTS: Final = ("coin", "texture")
 PICTURE_FILE: Final = "demo.png"
@@ -68,7 +68,7 @@ def demo_command(
     with status_spinner() as tell:
         rows = _reconstruct(library, tell)
         tell("drawing")
-        from host_sync.render.figures import write_story
+        from host_sync.render.picture_file import write_story
 
         picture = out / PICTURE_FILE
         write_story(rows, picture)
@@ -116,7 +116,7 @@ def _reconstruct(library: Library, tell: Callable[[str], None]) -> list[StoryRow
     from device.imaging.flat_field import demosaic
     from device.quick_look.solver import PICTURE_FILE as QUICK_LOOK
     from host_sync.reconstruction.from_library import LibraryReconstructor
-    from host_sync.render.figures import StoryRow
+    from host_sync.render.picture_file import StoryRow
     from host_sync.results.doubts import stated_doubts
 
     job = LibraryReconstructor(library, tell=tell, calibrator=calibrator_for(None, tell))

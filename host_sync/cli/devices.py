@@ -239,7 +239,7 @@ def push_command(source: str, calibration: str, /, *, library: Folder | None = N
     at
         The device's present address, HOST or HOST:PORT, if it has changed since pairing.
     """
-    from host_sync.offload.push import push_calibration
+    from host_sync.offload.pull import push_calibration
 
     bundle = Library(library or default_library()).find_calibration(calibration)
     with open_source(source, known_devices(), Address.parse(at) if at else None) as opened:

@@ -141,9 +141,9 @@ def _export_surface(
     choices: ExportChoices,
 ) -> tuple[list[Path], list[str]]:
     # Pillow and the writers are loaded here, so that other commands start without them.
+    from host_sync.export.array_formats import read_tmd
     from host_sync.export.source_surface import read_surface
     from host_sync.export.surface_export import export_surface
-    from host_sync.export.tmd import read_tmd
 
     if "dng" in forms:
         raise ExportError(f"{place}: is a surface, and dng holds a raw frame: give the scan's id instead")

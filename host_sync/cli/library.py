@@ -15,9 +15,9 @@ from device.command_line import Folder, print_json
 from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner
 from host_sync.errors import HostError
 from host_sync.library.index import Hit, Query, damaged_bundles, search
+from host_sync.library.intake import list_set_aside
 from host_sync.library.labels import label_scan, read_labels, save_search
 from host_sync.library.library import Library, default_library
-from host_sync.library.set_aside import list_set_aside
 from host_sync.results.files import RECORD_FILE
 from host_sync.text import some_of
 

@@ -141,7 +141,7 @@ COMMANDS: Final = (
     ),
     Command(
         "mosaic",
-        "host_sync.cli.mosaic:mosaic_command",
+        "host_sync.cli.compare:mosaic_command",
         "Stitch overlapping presses of one object into one height map, for measure, view, report and export.",
         (
             "retrosync mosaic results/ruler-1 results/ruler-2 results/ruler-3 --out ruler",
@@ -160,7 +160,7 @@ COMMANDS: Final = (
     ),
     Command(
         "gage-rr",
-        "host_sync.cli.gage:gage_command",
+        "host_sync.cli.measure:gage_command",
         "Gage R&R from repeated scans of the same parts (crossed ANOVA): repeatability, reproducibility, categories.",
         (
             "retrosync gage-rr --library scans --recipe recipe.toml --number surface/Sa",

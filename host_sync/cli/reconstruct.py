@@ -162,7 +162,7 @@ def _reconstruct_frame_set(
     check_output(out / "result.json", makes_folders=True)
     tell("loading compiled code")
     tell_of_compiling()
-    from host_sync.reconstruction.from_frame_set import reconstruct_frame_set
+    from host_sync.reconstruction.from_library import reconstruct_frame_set
 
     calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     done, failures = reconstruct_frame_set(

@@ -200,7 +200,7 @@ def _write_sheet(entries: list[Entry], still: Still, across: int, path: Path) ->
     from host_sync.render.picture_file import write_any_picture
     from host_sync.render.relief_sheet import CELL_PX, contact_sheet
     from host_sync.render.still import render
-    from host_sync.results.doubt import doubtful
+    from host_sync.results.record import doubtful
 
     range_um = still.range_um or _common_range(entries)
     small = replace(still, columns=CELL_PX, range_um=range_um)

@@ -19,7 +19,7 @@ from host_sync.errors import HostError, ResultError
 
 if TYPE_CHECKING:
     from host_sync.measurement.measurement import Measurement
-    from host_sync.report.content import Picture, Report, Template
+    from host_sync.report.writing import Picture, Report, Template
 
 MAX_NAME = 80
 NUMBERS_FILE = "numbers.csv"
@@ -161,7 +161,7 @@ def _template(path: Path | None) -> tuple[Template | None, Picture | None]:
     """Return the template of a file and its logo, before minutes of work."""
     if path is None:
         return None, None
-    from host_sync.report.content import read_template
+    from host_sync.report.writing import read_template
 
     return read_template(path)
 

@@ -169,9 +169,9 @@ def live_command(
         tell_of_compiling()
         tell("loading compiled code")
         from host_sync.video.frame_solver import FrameSolver
-        from host_sync.video.live import open_live
         from host_sync.video.reconstruct import sequence_doubts
-        from host_sync.video.recorder import Recorder
+        from host_sync.video.sensors import Recorder
+        from host_sync.video.stream import open_live
         from host_sync.viewer.access import Access
         from host_sync.viewer.app import make_live_app
         from host_sync.viewer.live import LiveView

@@ -16,8 +16,7 @@ import numpy as np
 from device.balls.sphere import Ball, BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float32Array, Float64Array
-from host_sync.denoising.frame_noise import FrameNoise, measure_noise, root_of
-from host_sync.denoising.null_colour import SlopeColour
+from host_sync.denoising.frame_noise import FrameNoise, SlopeColour, measure_noise, root_of
 from host_sync.denoising.wavelet_shrinkage import HALO_PX, Shrinkage, shrink_but_long_waves
 
 THRESHOLD: Final = (1.1, 2.2, 2.2)

@@ -17,8 +17,7 @@ from device.imaging.flat_field import DEMOSAIC_BLUR_PX, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface import Float32Array, Float64Array, HeightMap, integrate_dct, surface_slopes
 from host_sync.denoising.blur_correction import BLUR_PX, MAX_NOISE_DEG, without_blur
-from host_sync.denoising.frame_noise import FrameNoise, root_of
-from host_sync.denoising.null_colour import NullColour
+from host_sync.denoising.frame_noise import FrameNoise, NullColour, root_of
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX, Shrinkage, shrink_but_long_waves
 from host_sync.results.record import SlopeNoise
 

@@ -15,7 +15,7 @@ import tifffile
 from device.bundles.record import encode_record
 from device.bundles.scan import ScanBundle
 from hal.frame import BayerOrder, RawFrame
-from host_sync.export.publishing import check_free, publish
+from host_sync.export.surface_export import check_free, publish
 
 RawFormat = Literal["dng", "tiff"]
 

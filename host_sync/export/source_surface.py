@@ -13,8 +13,8 @@ from numpy.typing import DTypeLike
 
 from device.surface import Float32Array, MaskArray
 from host_sync.errors import ExportError
-from host_sync.results.doubt import doubtful
 from host_sync.results.reader import read_result
+from host_sync.results.record import doubtful
 
 MAX_PITCH_UM: Final = 1e6
 

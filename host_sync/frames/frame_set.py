@@ -13,7 +13,7 @@ import numpy as np
 from device.balls.sphere import Ball
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
-from host_sync.frames.equal_channels import check_channels
+from host_sync.frames.channel_counts import check_channels, count_values, full_scale_of
 from host_sync.frames.frame_set_file import (
     Encoding,
     FileTable,
@@ -23,10 +23,8 @@ from host_sync.frames.frame_set_file import (
     read_frame_set_file,
     set_file,
 )
-from host_sync.frames.full_scale import count_values, full_scale_of
 from host_sync.frames.image_file import read_image, read_info
-from host_sync.frames.image_info import ImageInfo
-from host_sync.frames.orientation import check_one_orientation, square_pitch, square_place, square_shape
+from host_sync.frames.image_info import ImageInfo, check_one_orientation, square_pitch, square_place, square_shape
 
 COUNTED_SCANS: Final = 8
 """At most so many scans show, beside reference and presses, where counts of 16 bit end."""

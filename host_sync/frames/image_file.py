@@ -20,10 +20,19 @@ from numpy.typing import NDArray
 from device.io.tiff import TIFF_READ_ERRORS
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
-from host_sync.frames.camera_raw import RAW_ERRORS, is_raw_file, open_raw
-from host_sync.frames.image_info import ACCEPTED, Decode, ImageInfo, Pixels, damaged, palette_channels
-from host_sync.frames.orientation import EXIF_START, exif_orientation, shape_upright, upright
-from host_sync.frames.tiff_file import open_tiff
+from host_sync.frames.image_info import (
+    ACCEPTED,
+    EXIF_START,
+    Decode,
+    ImageInfo,
+    Pixels,
+    damaged,
+    exif_orientation,
+    palette_channels,
+    shape_upright,
+    upright,
+)
+from host_sync.frames.tiff_file import RAW_ERRORS, is_raw_file, open_raw, open_tiff
 
 MAX_PIXELS: Final = 100_000_000
 """No gel sensor has more; a header that claims more is a mistake or an attack."""

@@ -14,12 +14,11 @@ from device.imaging.printed_marks import MarkPattern
 from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
+from host_sync.frames.channel_counts import clip_level
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.frame_set_file import MAX_LIGHTS, Encoding
-from host_sync.frames.full_scale import clip_level
 from host_sync.frames.image_file import read_image
-from host_sync.frames.image_info import Pixels
-from host_sync.frames.orientation import square_frame
+from host_sync.frames.image_info import Pixels, square_frame
 
 
 def read_frame(spec: FrameSpec) -> LinearFrame:

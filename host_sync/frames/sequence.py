@@ -25,8 +25,7 @@ from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
 from host_sync.frames.image_file import MAX_PIXELS, read_with_info
-from host_sync.frames.image_info import ImageInfo, Pixels
-from host_sync.frames.orientation import TAG, check_one_orientation, known_orientation, upright
+from host_sync.frames.image_info import TAG, ImageInfo, Pixels, check_one_orientation, known_orientation, upright
 from host_sync.frames.tiff_file import promises_another_page
 
 if TYPE_CHECKING:

@@ -1,8 +1,11 @@
-"""The inverse map at every pixel in one pass over memory: the workstation's form of `InverseMap.gradients`.
+"""The inverse map at every pixel in one pass over memory, and over cells of pixels.
 
-Along one row the position is a polynomial in the column alone, so that a row first folds its own place into the
-coefficients. Pixels are processed in short runs (`block_kernels`). Rows are independent: the result does not depend on
-the number of threads.
+The kernel is the workstation's form of `InverseMap.gradients`. Along one row the position is a polynomial in the column
+alone, so that a row first folds its own place into the coefficients. Pixels are processed in short runs
+(`block_kernels`). Rows are independent: the result does not depend on the number of threads.
+
+The mean intensity of a cell has less noise than a pixel's, by the root of its pixels. A single pixel's noise passes
+through a curved map and adds to its mean slope; over a contact that sums up to height.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, InverseMap
 from device.inverse_map.near_light import PLACE_DEGREE, rows_between_nodes
 from device.inverse_map.regressor import FeatureRegressor, colour_exponents, position_exponents
 from device.surface import Float32Array, GradientField, MaskArray, stereographic_size
-from host_sync.denoising.null_colour import NullColour
+from host_sync.denoising.frame_noise import NullColour
 from host_sync.gradients.block_kernels import (
     EXCESS,
     ONE,
@@ -43,6 +46,7 @@ from host_sync.gradients.block_kernels import (
     write_confidence,
 )
 from host_sync.gradients.polynomial_kernel import fourier_factor, tabled_degree, tabulated_fourier_terms, term_numbers
+from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_cells
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.kernels.planes import as_stored, colour_rows
@@ -351,3 +355,18 @@ def _directions_at_row(near: Float32Array, down: np.float32) -> Float32Array:
         power *= down
         along += power * near[..., j]
     return along
+
+
+def cell_slopes(image: NormalizedImage, inverse_map: InverseMap, cell: int) -> GradientField:
+    """Return the slopes of cells of `cell` x `cell` pixels, shape (h, w).
+
+    Beyond the field its last row and column are repeated. A cell of which more than a thousandth is invalid is invalid:
+    its slope and weight are 0.
+    """
+    size = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
+    valid = means_of_cells(image.valid.astype(np.float32)[..., None], size, cell)[..., 0] > WHOLE_CELL
+    row, column = middles_of_cells(size, cell)
+    means = np.nan_to_num(means_of_cells(image.values, size, cell), nan=1.0).astype(np.float32)
+    slopes = np.where(valid[..., None], inverse_map.on_grid(means, column, row), np.float32(0.0))
+    p, q = (np.ascontiguousarray(slopes[..., axis]) for axis in (0, 1))
+    return GradientField(p, q, valid, valid.astype(np.float32))

@@ -18,7 +18,7 @@ from host_sync.calibration_report.overview import ShownPress, draw_sheet, reduce
 from host_sync.frames.frame_set import FrameSet, PressSpec
 from host_sync.importers.draft import short_names
 from host_sync.importers.image_folder import SeenPress, look_at, survey_radius
-from host_sync.render.figures import figure_png
+from host_sync.render.picture_file import figure_png
 
 WIDTH_IN: Final = 14.0
 HEAD_IN: Final = 0.45

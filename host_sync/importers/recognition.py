@@ -12,15 +12,16 @@ from host_sync.frames.sequence import SUFFIXES
 from host_sync.importers.ball_tables import (
     ANNOTATIONS,
     CATALOGUE,
+    PACK,
     find_circle_table,
     import_annotated,
     import_gs_sdk,
     import_py3dcal,
+    import_taxim,
 )
 from host_sync.importers.draft import Draft, Said
 from host_sync.importers.gelsight_scan import SCAN_FILE, import_gelsight
 from host_sync.importers.image_folder import MOVIES, import_images
-from host_sync.importers.taxim_pack import PACK, import_taxim
 
 Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "fots", "digit", "images"]
 

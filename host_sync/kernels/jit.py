@@ -1,4 +1,4 @@
-"""numba's compiler, with compiled kernels cached by all that they reach.
+"""numba's compiler, with compiled kernels cached by all that they reach, and the time that a run spent compiling.
 
 Every module of the package takes numba's functions from here.
 
@@ -17,6 +17,8 @@ import inspect
 import os
 import pickle
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from enum import EnumType
@@ -239,3 +241,32 @@ class _Watch(event.Listener):
 def watch_compiling(begin: Callable[[], None], end: Callable[[], None]) -> None:
     """Have `begin` and `end` called around every compilation, nested ones too, in the thread that compiles."""
     event.register("numba:compile", _Watch(begin, end))  # type: ignore[no-untyped-call]
+
+
+class CompileTime:
+    """Counts the seconds in which at least one thread compiles; what is loaded from the cache does not count."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running = 0
+        self._since_s = 0.0
+        self._total_s = 0.0
+        watch_compiling(self._begin, self._end)
+
+    @property
+    def total_s(self) -> float:
+        """Seconds so far."""
+        with self._lock:
+            return self._total_s + (time.monotonic() - self._since_s if self._running else 0.0)
+
+    def _begin(self) -> None:
+        with self._lock:
+            self._running += 1
+            if self._running == 1:
+                self._since_s = time.monotonic()
+
+    def _end(self) -> None:
+        with self._lock:
+            self._running -= 1
+            if self._running == 0:
+                self._total_s += time.monotonic() - self._since_s

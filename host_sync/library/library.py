@@ -32,8 +32,17 @@ from host_sync.errors import (
     NoSuchBundle,
     SourceLost,
 )
-from host_sync.library import set_aside
-from host_sync.library.intake import Event, IntakeHistory, append_intake, read_intake, retire_intake, write_head
+from host_sync.library.intake import (
+    SET_ASIDE,
+    Event,
+    IntakeHistory,
+    append_intake,
+    move_aside,
+    read_intake,
+    record_refusal,
+    retire_intake,
+    write_head,
+)
 from host_sync.library.labels import read_labels
 
 _RESULT_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
@@ -228,13 +237,13 @@ class Library:
     def refuse(self, kind: BundleKind, name: str, reason: str, source: str) -> None:
         """Note under `set-aside` why a bundle was not taken in, if the library can be written."""
         with suppress(OSError):
-            set_aside.refuse(self.root, kind, name, reason, source)
+            record_refusal(self.root, kind, name, reason, source)
 
     def move_aside(self, kind: BundleKind, bundle_id: str, reason: str) -> Path:
         """Move a damaged bundle to `set-aside` and record that; returns where it is now."""
         entry = self.intake().held.get((kind, bundle_id))
         with self.translating("written"):
-            target = set_aside.move_aside(self.root, kind, bundle_id, reason)
+            target = move_aside(self.root, kind, bundle_id, reason)
         if entry is not None:
             self._append("set-aside", kind, bundle_id, entry.manifest_sha256, str(self.root))
         return target
@@ -242,7 +251,7 @@ class Library:
     def restart_record(self) -> None:
         """Move a damaged intake record to `set-aside` and start a new one; the caller holds the library for writing."""
         with self._intake_lock, self.translating("written"):
-            retire_intake(self.root, self.root / set_aside.SET_ASIDE / "intake")
+            retire_intake(self.root, self.root / SET_ASIDE / "intake")
             self._history = None
 
     def forget(self, name: str) -> None:

@@ -19,8 +19,7 @@ from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.light.interreflection import SCAN_CELLS, incoming_light
-from host_sync.light.kernels import write_search
+from host_sync.light.kernels import SCAN_CELLS, incoming_light, write_search
 from host_sync.light.model import ELEVATION, MONOMIALS, POINT_WEIGHTS, LightModel
 from host_sync.uncertainty.elevation import ElevationCorrection
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import ExportError, MeasurementError
+from host_sync.export.array_formats import ANY_VERSION, read_tmd
 from host_sync.export.source_surface import one_line
-from host_sync.export.tmd import ANY_VERSION, read_tmd
 from host_sync.results.doubts import FOREIGN_METHOD
 from host_sync.results.field_file import MAX_PIXELS
 from host_sync.results.reader import ResultSurface

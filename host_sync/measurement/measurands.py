@@ -10,6 +10,7 @@ import numpy as np
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
+from host_sync.measurement.circle import fit_sphere
 from host_sync.measurement.geometry import (
     Region,
     SkinPlaces,
@@ -22,7 +23,6 @@ from host_sync.measurement.geometry import (
     region_places,
 )
 from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
-from host_sync.measurement.sphere import fit_sphere
 from host_sync.profile.profile_line import Line, Profile, profile_along
 from host_sync.profile.step_height import (
     StepEdges,

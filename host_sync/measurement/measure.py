@@ -13,7 +13,7 @@ from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
-from host_sync.measurement.areal_measurand import ArealMeasurand
+from host_sync.measurement.areal_measurand import ArealMeasurand, ProfileMeasurand
 from host_sync.measurement.circle import CircleMeasurand
 from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.geometry import SkinPlaces, painted, reaches_beyond, share_at, without
@@ -29,7 +29,6 @@ from host_sync.measurement.measurands import (
     VolumeMeasurand,
 )
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
-from host_sync.measurement.profile_measurand import ProfileMeasurand
 from host_sync.measurement.quantity import (
     NO_PITCH_SIGMA,
     NOISE_SHARE,

@@ -17,8 +17,7 @@ from host_sync.iso25178.power_spectrum import PowerSpectrum
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 from host_sync.profile.profile_line import Line, Profile
-from host_sync.results.doubt import Doubt
-from host_sync.results.record import ResultRecord
+from host_sync.results.record import Doubt, ResultRecord
 
 COPY: Final = "copy"
 """Warning that a number is that of a frame which was measured before."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from device.surface import Float64Array
 from host_sync.measurement.recipe import ToleranceTable
-from host_sync.results.doubt import DoubtKind
+from host_sync.results.record import DoubtKind
 
 MIN_DRAWS: Final = 4
 NOISE_WARNING: Final = 0.5

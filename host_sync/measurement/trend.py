@@ -21,7 +21,7 @@ import numpy as np
 from device.surface import Float64Array
 from host_sync.measurement.measurement import COPY, Measurement
 from host_sync.measurement.quantity import NO_PITCH_SIGMA, VOID, Limits, Quantity, decimals, plain
-from host_sync.results.doubt import REPLACED, DoubtKind
+from host_sync.results.record import REPLACED, DoubtKind
 
 INDIVIDUALS: Final = 2.66
 PER_RANGE: Final = 1.128

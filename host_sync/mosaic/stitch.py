@@ -14,10 +14,8 @@ from device.align import APART_PX, Pose, relief_slopes
 from device.io.atomic import atomic_directory
 from host_sync.errors import MosaicError
 from host_sync.mosaic.adjustment import adjusted
-from host_sync.mosaic.blending import blend, canvas_of
-from host_sync.mosaic.levelling import Meeting, levelled, meeting
-from host_sync.mosaic.links import RIVALLED, verified
-from host_sync.mosaic.overlaps import COARSE_PX, Layout, candidates
+from host_sync.mosaic.blending import Meeting, blend, canvas_of, levelled, meeting
+from host_sync.mosaic.links import COARSE_PX, RIVALLED, Layout, candidates, verified
 from host_sync.mosaic.presses import Press, Small, check_together, read_small, small_of
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.writing import Plan, mosaic_record, write_mosaic

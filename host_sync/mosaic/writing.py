@@ -16,8 +16,7 @@ import numpy as np
 from device.align import Pose
 from device.surface import Float32Array, HeightMap
 from host_sync.mosaic.adjustment import Adjusted
-from host_sync.mosaic.blending import Blend, Canvas
-from host_sync.mosaic.levelling import Levels, Meeting
+from host_sync.mosaic.blending import Blend, Canvas, Levels, Meeting
 from host_sync.mosaic.links import Link
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic

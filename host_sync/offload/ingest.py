@@ -19,8 +19,8 @@ from device.bundles.record import encode_record, read_manifest, sha256_bytes, ve
 from device.errors import DeviceError
 from host_sync.errors import BusyBundle, HostError, LibraryError, SourceError, SourceLost
 from host_sync.library.index import files_by_hash
+from host_sync.library.intake import forget_refusal
 from host_sync.library.library import Library
-from host_sync.library.set_aside import accept
 from host_sync.offload.bundle_transfer import Advance, RemoteBundle, download, verify
 from host_sync.offload.source import Source
 
@@ -88,7 +88,7 @@ class IngestQueue:
             verify(offer, partial)
         self._library.record("taken-in", offer.kind, offer.bundle_id, offer.manifest, self._source.name)
         with suppress(OSError):
-            accept(self._library.root, offer.kind, offer.bundle_id)
+            forget_refusal(self._library.root, offer.kind, offer.bundle_id)
         try:
             if self._receipts:
                 self._receipts.write_for(self._source, offer)

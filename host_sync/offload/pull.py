@@ -1,7 +1,7 @@
 """Offload: every bundle that a source has and the library lacks is copied, verified, published and receipted.
 
 What is damaged or hostile is named and passed over; the rest goes on. A second pull copies nothing. Several devices
-are pulled side by side.
+are pulled side by side. The other way, a calibration is pushed into a device's inbox, and verified there on import.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
+from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle
 from device.bundles.check import RECEIPTS, bundle_of, receipt_name
-from device.bundles.layout import MANIFESTS, BundleKind, is_utf_8
-from device.bundles.record import read_small
+from device.bundles.layout import INBOX, MANIFESTS, BundleKind, is_utf_8, partial_name
+from device.bundles.record import checksum_name, read_small
 from device.errors import DeviceError, RecordError
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost
 from host_sync.library.library import Library
@@ -306,3 +307,27 @@ def sync_one(
         )
     )
     return report
+
+
+def push_calibration(source: Source, bundle: CalibrationBundle) -> None:
+    """Verify a calibration and put it into the inbox, where it appears in one step.
+
+    Raises
+    ------
+    RecordError
+        The library's copy is damaged; nothing is sent.
+    SourceError
+        The device has it in its inbox already, or cannot be written.
+    """
+    bundle.verify()
+    name = bundle.calibration_id
+    if name in source.names(INBOX):
+        raise SourceError(
+            f"{source.name}: has calibration {name} in its inbox already: "
+            "run `retroscan calibrations import-inbox` on it"
+        )
+    growing = f"{INBOX}/{partial_name(name)}"
+    source.make_folder(growing)
+    for file_name in (*bundle.record.files, CALIBRATION_MANIFEST, checksum_name(CALIBRATION_MANIFEST)):
+        source.write(f"{growing}/{file_name}", bundle.directory / file_name)
+    source.rename(growing, f"{INBOX}/{name}")

@@ -10,7 +10,7 @@ from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.calibration_report.report import DPI
 from host_sync.errors import HostError
 from host_sync.reconstruction.pipeline import reconstruct
-from host_sync.render.figures import figure_png
+from host_sync.render.picture_file import figure_png
 from host_sync.results.files import OVERVIEW_FILE
 
 NO_REFERENCE = "no frame of untouched skin: nothing shows how flat it is read"

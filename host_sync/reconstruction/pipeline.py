@@ -11,9 +11,8 @@ from device.imaging.flat_field import LinearFrame
 from device.surface import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.denoising.blur_correction import without_blur
-from host_sync.gradients.extrapolation import extrapolated
-from host_sync.gradients.surface_slope_kernel import surface_slopes
-from host_sync.integration.integrate import IntegrationReport
+from host_sync.gradients.confidence import extrapolated
+from host_sync.integration.integrate import IntegrationReport, surface_slopes
 from host_sync.integration.zero_level import NO_ZERO, Datum
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
@@ -30,7 +29,7 @@ from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnin
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck, SlopeNoise
 from host_sync.uncertainty.height_error import nonintegrable_residual, slope_sigma
-from host_sync.uncertainty.lost_detail import lost_variance, with_lost_detail
+from host_sync.uncertainty.kernels import lost_variance, with_lost_detail
 
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Calibration, Method

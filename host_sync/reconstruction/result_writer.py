@@ -104,7 +104,7 @@ def relief_words(reconstruction: Reconstruction) -> str:
 
 def _write_detail(folder: Path, height: HeightMap, band: DetailBand, name: str) -> DetailRecord:
     """Write the detail's height map and picture; returns its entry of `result.json`."""
-    from host_sync.render.figures import write_detail  # matplotlib takes a while to load
+    from host_sync.render.picture_file import write_detail  # matplotlib takes a while to load
 
     fine = detail(height, band)
     indices = ", ".join(f"{n} {v:g} um" for n, v in (("S", band.s_um), ("L", band.l_um)) if v is not None)

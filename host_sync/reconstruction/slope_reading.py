@@ -14,17 +14,16 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_c
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.frame_checks.colour_check import check_frame
+from host_sync.frame_checks.layout_check import check_frame
 from host_sync.frame_checks.level_check import check_light
-from host_sync.gradients.even_confidence import even_confidence
-from host_sync.gradients.extrapolation import strange_blocks
+from host_sync.gradients.confidence import even_confidence, strange_blocks
 from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity
 from host_sync.gradients.inverse_map_kernel import SlopeKernel
 from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import BackgroundCall, parallel_rows
 from host_sync.light.reading import CellCorrection, correct_slopes
-from host_sync.lights.light_groups import CHANNELS, in_group, joined
+from host_sync.light_groups import CHANNELS, in_group, joined
 from host_sync.results.record import FrameCheck, refusals
 
 if TYPE_CHECKING:

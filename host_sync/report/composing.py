@@ -17,8 +17,8 @@ from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import DeviceError
 from host_sync.errors import MeasurementError
 from host_sync.measurement.measurement import Measurement, operations, shared_warnings
-from host_sync.report.content import VERDICT_HEAD, Picture, Report, Table, Template
 from host_sync.report.pictures import pictures_of
+from host_sync.report.writing import VERDICT_HEAD, Picture, Report, Table, Template
 from host_sync.results.doubts import check_standard
 from host_sync.results.files import OVERVIEW_FILE
 from host_sync.results.record import ResultRecord

@@ -22,10 +22,10 @@ from host_sync.iso25178.areal_parameters import MaterialRatioCurve, core_line, c
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.measurement.recipe import DistanceTable, ProfileTable, StepTable
 from host_sync.measurement.recipe import Rectangle as Region
-from host_sync.render.figures import draw_relief
+from host_sync.render.picture_file import draw_relief
 from host_sync.render.relief_sheet import MAX_COLUMNS
 from host_sync.render.shading import reduced
-from host_sync.report.content import Picture
+from host_sync.report.writing import Picture
 from host_sync.text import printable
 
 RED: Final = "#b03020"

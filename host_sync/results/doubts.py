@@ -19,8 +19,7 @@ from device.bundles.record import Identity
 from device.bundles.scan import SCAN_MANIFEST, LightFaultRecord, VerdictRecord
 from device.calibration.acceptance import SECTORS, sector_indices
 from device.surface import Float64Array
-from host_sync.results.doubt import REPLACED, Doubt, DoubtKind
-from host_sync.results.record import ResultRecord, SequenceRecord, read_record, refusals
+from host_sync.results.record import REPLACED, Doubt, DoubtKind, ResultRecord, SequenceRecord, read_record, refusals
 
 EXTRAPOLATED_SHARE: Final = 0.005
 """Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from device.surface import Float32Array, HeightMap, MaskArray
-from host_sync.results.doubt import Doubt
 from host_sync.results.doubts import result_doubts
 from host_sync.results.field_file import MAX_TILE_VALUES, read_field, read_mask, read_samples
 from host_sync.results.files import (
@@ -25,7 +24,7 @@ from host_sync.results.files import (
     DetailName,
     other_detail,
 )
-from host_sync.results.record import ResultRecord, read_record
+from host_sync.results.record import Doubt, ResultRecord, read_record
 
 MAX_SAMPLES_RATIO: Final = 4
 """Values of all samples over those of the height map; honest results stay below 1."""

@@ -19,7 +19,7 @@ from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import GENTLE, direction_features, lit_by
 from device.inverse_map.regressor import field_position, monomials, position_exponents
 from device.surface import Float32Array, Float64Array, HeightMap, integrate_dct
-from host_sync.gradients.cell_slopes import cell_slopes
+from host_sync.gradients.inverse_map_kernel import cell_slopes
 from host_sync.integration.datum import untouched_mask, zero_to_datum
 
 MAX_PRESSES: Final = 3

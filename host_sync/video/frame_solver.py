@@ -20,12 +20,12 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
-from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
+from host_sync.frame_checks.layout_check import SAMPLES_ALONG, check_datum, check_frame
 from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
-from host_sync.gradients.even_confidence import even_confidence
+from host_sync.gradients.confidence import even_confidence
 from host_sync.gradients.flat_field_kernel import check_exposure, empty_intensity, raw_intensity, stored_intensity
 from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
 from host_sync.integration.integrate import Integrator
@@ -40,13 +40,13 @@ from host_sync.video.fine_pass import (
     WIDEST_PX,
     CoarseReading,
     FineCorrection,
+    FrameSigma,
     at_size,
     block_moments,
     corrects_coarsely,
     level,
     read_coarse,
 )
-from host_sync.video.frame_sigma import FrameSigma
 
 CHECK_STRIDE_FACTOR: Final = 8
 """Checks of video frames sample this many times more coarsely than those of a single frame."""

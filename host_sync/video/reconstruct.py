@@ -26,10 +26,9 @@ from host_sync.errors import SequenceError
 from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame
 from host_sync.reconstruction.result_writer import calibration_facts
 from host_sync.render.picture_file import plays_in_browser
-from host_sync.results.doubt import Doubt, doubtful
 from host_sync.results.doubts import record_doubts
 from host_sync.results.files import HEIGHTS_FILE, RECORD_FILE
-from host_sync.results.record import ResultRecord, SequenceFrame, SequenceRecord, encode_record
+from host_sync.results.record import Doubt, ResultRecord, SequenceFrame, SequenceRecord, doubtful, encode_record
 from host_sync.video.contact import ContactRow, SlipTracker, draw_contact_chart, write_contact_table
 from host_sync.video.fine_pass import CELLS_ACROSS
 from host_sync.video.frame_solver import FrameSolver, FrameStatistics

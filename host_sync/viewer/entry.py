@@ -18,12 +18,11 @@ from device.surface import Float32Array
 from host_sync.errors import UnreadableResult, ViewError
 from host_sync.library.index import Hit
 from host_sync.library.labels import Label
-from host_sync.results.doubt import Doubt
 from host_sync.results.doubts import quick_look_doubts, result_doubts, video_doubts
 from host_sync.results.field_file import read_field, read_samples, read_shape, read_stack_page
 from host_sync.results.files import HEIGHT_FILE, HEIGHT_SIGMA_FILE, HEIGHTS_FILE, SAMPLES_FILE
 from host_sync.results.reader import max_sample_values
-from host_sync.results.record import MAX_PITCH_UM, MIN_PITCH_UM, ResultRecord, SequenceRecord, read_listed_record
+from host_sync.results.record import MAX_PITCH_UM, MIN_PITCH_UM, Doubt, ResultRecord, SequenceRecord, read_listed_record
 
 Kind = Literal["result", "video", "quick look", "difference"]
 

@@ -32,9 +32,8 @@ from host_sync.errors import HostError
 from host_sync.render.shading import steep_slope
 from host_sync.video.contact import find_contact
 from host_sync.video.frame_solver import FrameSolver
-from host_sync.video.live import LiveHeights
-from host_sync.video.recorder import Recorder
-from host_sync.video.stream import SolvedFrame
+from host_sync.video.sensors import Recorder
+from host_sync.video.stream import LiveHeights, SolvedFrame
 from host_sync.viewer.cache import coarse_levels, finest_rows, level_count, padded_shape
 from host_sync.viewer.responses import json_answer, readable
 

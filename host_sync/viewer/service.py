@@ -27,8 +27,7 @@ from host_sync.results.record import ResultRecord, SequenceRecord
 from host_sync.viewer.cache import Cache, Level, level_count, padded_shape
 from host_sync.viewer.catalogue import Catalogue
 from host_sync.viewer.entry import DifferenceRecord, Entry, Heights, Record, key_of
-from host_sync.viewer.pictures import frame_picture, grey_frames, sigma_picture, thumbnail
-from host_sync.viewer.responses import MeasuredLine, measure_line
+from host_sync.viewer.responses import MeasuredLine, frame_picture, grey_frames, measure_line, sigma_picture, thumbnail
 
 if TYPE_CHECKING:
     from host_sync.measurement.recipe import Recipe

@@ -13,7 +13,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from device.surface import Float32Array, HeightMap
-from host_sync.render.figures import draw_relief, figure_pixels, figure_png
+from host_sync.render.picture_file import draw_relief, figure_pixels, figure_png
 from tests.demo.truth_judge import Judgement
 
 REDUCTION = 2

@@ -10,7 +10,7 @@ import pytest
 
 from host_sync.csv_table import number_in, read_table, table_text
 from host_sync.errors import MeasurementError
-from host_sync.gage.gage import numbers, read_rows
+from host_sync.gage import numbers, read_rows
 
 ROWS = [("part", "operator", "value"), ("A", "Ada", 1.5), ("B", "Ö, Bo", -0.25)]
 

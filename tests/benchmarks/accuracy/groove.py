@@ -27,11 +27,11 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, estimate_fla
 from device.inverse_map.model import InverseMap
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface import GradientField, stereographic_from_slope
-from host_sync.export.tmd import read_tmd
+from host_sync.export.array_formats import read_tmd
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.linear_light import read_frame
 from host_sync.integration.integrate import integrate
-from host_sync.lights.light_groups import Group, choose_groups, in_group
+from host_sync.light_groups import Group, choose_groups, in_group
 from tests.benchmarks.accuracy.real_sets import data_folder
 
 LIGHTS: Final = 6

@@ -25,7 +25,7 @@ import numpy as np
 from device.align import Pose, turning
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.mosaic.adjustment import adjusted
-from host_sync.mosaic.overlaps import Layout
+from host_sync.mosaic.links import Layout
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.stitch import planned, stitch

@@ -81,9 +81,8 @@ async def measure(
     bench: TimedScene, store_folder: Path, scene_mb: float, rendered_s: float, rendered_cpu_s: float
 ) -> str:
     """Start the screens over the instrument, and print every mark; returns why it cannot, or an empty text."""
-    from device.acquisition.sd_notify import SdNotify
     from device.cli.screens import InstrumentThread
-    from device.cli.service import ServiceReport
+    from device.cli.service import SdNotify, ServiceReport
     from device.instrument.instrument import Instrument
     from device.store.store import BundleStore
     from device.tui.screens.app import RetroscanApp

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from device.acquisition.sd_notify import SdNotify
 from device.cli.instrument_commands import run_headless
+from device.cli.service import SdNotify
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.hardware import Hardware

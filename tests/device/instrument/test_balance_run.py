@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from device.acquisition.auto_exposure import AIMED_LEVEL
-from device.acquisition.capture import CaptureSettings
-from device.acquisition.gel_profile import calibration_settings, with_active_gel
+from device.acquisition.capture import CaptureSettings, calibration_settings, with_active_gel
 from device.bundles.scan import VerdictRecord
 from device.instrument.calibration_run import KEPT, STOPPED
 from device.instrument.events import Failed, Info, ScanFinished

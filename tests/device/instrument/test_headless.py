@@ -10,13 +10,13 @@ from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
 from fake_gpio import Edge
 
 import device.cli.instrument_commands
-from device.acquisition.sd_notify import POWER_OFF_FILE
 from device.acquisition.selftest import selftest
 from device.cli.instrument_commands import run_headless
 from device.cli.main import main
+from device.cli.service import POWER_OFF_FILE
 from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument
-from device.pairing_service.service import PairingSetup
+from device.pairing_service.window import PairingSetup
 from device.store.store import BundleStore
 from hal.drivers.gpio_lines import BlinkIndicator
 from hal.errors import IndicatorError

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import pytest
 from emulated_board import LIGHTS_AT, EmulatedBoard, emulated_hardware
 
-from device.acquisition.sd_notify import SdNotify
 from device.cli.instrument_commands import run_headless
-from device.cli.service import BROKEN_WAIT_S, ServiceReport
+from device.cli.service import BROKEN_WAIT_S, SdNotify, ServiceReport
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.simulator.bench import SimulatedScene

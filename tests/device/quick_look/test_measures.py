@@ -18,7 +18,7 @@ from device.tui.drawing.text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.gaussian_regression import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters
-from host_sync.measurement.profile_measurand import ProfileMeasurand
+from host_sync.measurement.areal_measurand import ProfileMeasurand
 from host_sync.measurement.recipe import ProfileTable
 
 PITCH_UM = 24.0

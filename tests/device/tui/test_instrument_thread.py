@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from device.acquisition.sd_notify import SdNotify
 from device.cli.screens import InstrumentThread
-from device.cli.service import ServiceReport
+from device.cli.service import SdNotify, ServiceReport
 from device.instrument.state import CalibrationState
 from hal.clock import SystemClock
 

@@ -15,7 +15,7 @@ from device.calibration.fit import InverseFit, fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration.balls import UsedPress
 from host_sync.calibration.slope_models import LoweredBalls
-from host_sync.light.presses import held_out_readers
+from host_sync.light.fit import held_out_readers
 from host_sync.uncertainty.elevation import ElevationCorrection
 
 NEAR = NearLamps(220.0)

@@ -27,7 +27,7 @@ from host_sync.calibration.balls import PressFrame, apply_fit, locate
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
 from host_sync.calibration.radii import fit_to
 from host_sync.calibration.scale import ScaleUncertainty
-from host_sync.frames.orientation import square_frame
+from host_sync.frames.image_info import square_frame
 
 SHAPE = (210, 280)
 RADIUS_PX = 36.0

@@ -31,7 +31,7 @@ from host_sync.calibration_file.kept_calibration import (
 )
 from host_sync.calibration_file.soundness import check_sound
 from host_sync.cli.main import main
-from host_sync.denoising.null_colour import NullColour
+from host_sync.denoising.frame_noise import NullColour
 from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.kernels.cache import USER_CACHE

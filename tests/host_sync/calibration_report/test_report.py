@@ -23,7 +23,7 @@ from host_sync.calibration.balls import (
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.preparation import MAX_SHOWN, training_presses
 from host_sync.calibration.scale import scale_uncertainty, with_stated_pitch
-from host_sync.calibration_report.balls_figure import balls_figure
+from host_sync.calibration_report.overview import balls_figure
 
 SHAPE = (90, 120)
 RADIUS_PX = 12.0

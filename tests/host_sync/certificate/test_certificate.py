@@ -14,8 +14,14 @@ import tifffile
 
 from device.surface import HeightMap
 from host_sync.calibration.calibrate import Calibration
-from host_sync.certificate.certificate_job import RECORD_FILE, check_specimen, write_certificate
-from host_sync.certificate.certificate_pages import Certificate, HashedFile, verdict_of
+from host_sync.certificate.certificate_pages import (
+    RECORD_FILE,
+    Certificate,
+    HashedFile,
+    check_specimen,
+    verdict_of,
+    write_certificate,
+)
 from host_sync.certificate.characteristics import CheckedSpecimen, characteristics
 from host_sync.certificate.specimen_measurement import (
     MeasureTable,

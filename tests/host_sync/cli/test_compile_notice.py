@@ -11,8 +11,7 @@ import pytest
 from host_sync.cli.console import tell_compile_time, tell_of_compiling
 from host_sync.cli.main import run
 from host_sync.kernels.cache import SETTING, SUFFIX
-from host_sync.kernels.compile_time import CompileTime
-from host_sync.kernels.jit import njit
+from host_sync.kernels.jit import CompileTime, njit
 
 
 @pytest.mark.parametrize(

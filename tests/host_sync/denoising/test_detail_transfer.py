@@ -7,8 +7,7 @@ import pytest
 
 from device.balls.sphere import BallSamples
 from host_sync.denoising.bounded_shrinkage import TransferBench, keeps_detail, shrinkage_of
-from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.null_colour import SlopeColour
+from host_sync.denoising.frame_noise import FrameNoise, SlopeColour
 
 SHAPE = (200, 300)
 WHITE = np.array([1.0, 0.116, 0.0226])

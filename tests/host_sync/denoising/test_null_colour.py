@@ -13,8 +13,7 @@ from device.inverse_map.regressor import DARK_OFFSET, FeatureRegressor, FeatureS
 from device.inverse_map.training_domain import TrainingDomain
 from device.surface import slope_from_stereographic, stereographic_from_slope
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
-from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.null_colour import MAX_MISREAD, NullColour, learn_null_colour
+from host_sync.denoising.frame_noise import MAX_MISREAD, FrameNoise, NullColour, learn_null_colour
 from host_sync.denoising.slope_noise import measure_slope_noise
 
 SHAPE = (200, 300)

@@ -13,9 +13,9 @@ import pytest
 from device.surface import Float32Array
 from host_sync.cli.main import main
 from host_sync.errors import ExportError
+from host_sync.export.array_formats import read_tmd, write_tmd
 from host_sync.export.source_surface import SourceSurface
 from host_sync.export.surface_export import ExportChoices, export_surface
-from host_sync.export.tmd import read_tmd, write_tmd
 
 DATA = Path(os.environ.get("RETROGRAPH_DATA", Path(__file__).parents[4] / "shared" / "data"))
 MAGIC = b"Binary TrueMap Data File v2.0\r\n\0"

@@ -9,7 +9,7 @@ from device.surface import HeightMap
 from host_sync.errors import FilterError
 from host_sync.filters.form import DetailBand, detail
 from host_sync.filters.gaussian_regression import gaussian_mean
-from host_sync.render.figures import exaggeration
+from host_sync.render.picture_file import exaggeration
 
 PITCH_UM = 4.0
 SIZE = 240

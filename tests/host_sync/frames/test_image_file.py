@@ -19,8 +19,8 @@ from hal.frame import CameraSettings, RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.image_file import read_image, read_info
+from host_sync.frames.image_info import exif_orientation, shape_upright, upright
 from host_sync.frames.linear_light import read_frame
-from host_sync.frames.orientation import exif_orientation, shape_upright, upright
 
 SHAPE = (48, 64)
 

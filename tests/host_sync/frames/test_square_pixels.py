@@ -13,8 +13,8 @@ from host_sync import api
 from host_sync.api_arguments import image_form, linear_frame, pitch_and_shape
 from host_sync.errors import FrameSetError
 from host_sync.frames.frame_set import load_frame_set
+from host_sync.frames.image_info import square_frame
 from host_sync.frames.linear_light import read_frame
-from host_sync.frames.orientation import square_frame
 
 TEXT = """
 name = "stretched"

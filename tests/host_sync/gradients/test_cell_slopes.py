@@ -9,7 +9,7 @@ from device.inverse_map.model import InverseMap, rest_nodes
 from device.inverse_map.noise_bias import less_noise
 from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
-from host_sync.gradients.cell_slopes import cell_slopes
+from host_sync.gradients.inverse_map_kernel import cell_slopes
 
 SHAPE = (120, 160)
 NOISE = 0.03

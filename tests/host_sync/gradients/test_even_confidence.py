@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.surface import GradientField
-from host_sync.gradients.even_confidence import CELL_PX, even_confidence
+from host_sync.gradients.confidence import CELL_PX, even_confidence
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 
 SHAPE = (403, 401)

@@ -7,7 +7,7 @@ from device.balls.sphere import Ball, gather_samples, sphere_slopes
 from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from host_sync.gradients.extrapolation import extrapolated, strange_blocks
+from host_sync.gradients.confidence import extrapolated, strange_blocks
 
 SHAPE = (240, 320)
 STEEPEST = 0.5

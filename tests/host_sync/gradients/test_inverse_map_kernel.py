@@ -19,7 +19,7 @@ from device.inverse_map.regressor import (
     position_exponents,
 )
 from device.inverse_map.training_domain import TrainingDomain
-from host_sync.denoising.null_colour import NullColour
+from host_sync.denoising.frame_noise import NullColour
 from host_sync.gradients.inverse_map_kernel import evaluate
 from host_sync.kernels.planes import in_planes
 

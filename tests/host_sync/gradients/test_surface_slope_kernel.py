@@ -5,7 +5,7 @@ import pytest
 
 from device.surface import HeightMap
 from device.surface import surface_slopes as portable
-from host_sync.gradients.surface_slope_kernel import surface_slopes
+from host_sync.integration.integrate import surface_slopes
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 3), (2, 7), (4, 5), (5, 4), (6, 6), (40, 57), (520, 700)])

@@ -6,7 +6,7 @@ import numpy as np
 
 from device.surface import GradientField
 from host_sync.integration.integrate import compile_integration, integrate
-from host_sync.kernels.compile_time import CompileTime
+from host_sync.kernels.jit import CompileTime
 
 
 def test_a_field_compiles_nothing_that_was_not_compiled_ahead() -> None:

@@ -13,8 +13,7 @@ import pytest
 
 import host_sync
 from host_sync.kernels.cache import KEPT_S, SETTING, SUFFIX, USER_CACHE, configure_cache, prune_cache, state_of
-from host_sync.kernels.compile_time import CompileTime
-from host_sync.kernels.jit import kernel_digest, njit
+from host_sync.kernels.jit import CompileTime, kernel_digest, njit
 
 SOURCES = {
     "caller": """
@@ -38,7 +37,7 @@ def inner(number):
 }
 CALL = """
 import sys
-from host_sync.kernels.compile_time import CompileTime
+from host_sync.kernels.jit import CompileTime
 clock = CompileTime()
 from caller import outer
 print(outer(7), clock.total_s > 0.0)

@@ -16,9 +16,8 @@ from device.store.store import BundleStore
 from host_sync.cli.main import main
 from host_sync.errors import HostError, SourceError
 from host_sync.library.index import INDEX_FILE
-from host_sync.library.intake import HEAD_FILE, INTAKE_FILE, read_intake
+from host_sync.library.intake import HEAD_FILE, INTAKE_FILE, list_set_aside, read_intake
 from host_sync.library.library import Library
-from host_sync.library.set_aside import list_set_aside
 from host_sync.library.verification import adopt, verify_library
 from host_sync.offload.mirror import SftpPlace, mirror_to_folder, repair
 from host_sync.offload.pull import pull

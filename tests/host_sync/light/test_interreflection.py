@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host_sync.light.interreflection import incoming_light
+from host_sync.light.kernels import incoming_light
 
 SIZE = (72, 96)
 ROW, COLUMN = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float32)

@@ -13,7 +13,7 @@ from device.surface import GradientField
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
 from host_sync.calibration.frames import calibrate_lights
-from host_sync.lights.light_groups import choose_groups, in_group, joined
+from host_sync.light_groups import choose_groups, in_group, joined
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.results.typed_members import as_members, from_members
 from tests.apparatus.light_ring import lit_by_ring

@@ -5,8 +5,8 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm
+from host_sync.measurement.circle import SphereForm, fit_sphere
 from host_sync.measurement.geometry import SkinPlaces
-from host_sync.measurement.sphere import SphereForm, fit_sphere
 
 SHAPE = (180, 240)
 PITCH_UM = 4.0

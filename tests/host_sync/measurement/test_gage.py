@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from host_sync.errors import MeasurementError
-from host_sync.gage.gage import study
+from host_sync.gage import study
 
 # Ten parts, three operators, three repeats: the example that the AIAG's manual (MSA, 4th edition) works through.
 EXAMPLE = """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from host_sync.cli.main import main
-from host_sync.report.trend_chart import without_common_start
+from host_sync.report.population import without_common_start
 from tests.apparatus.printing import needs_browser
 
 Write = Callable[..., Path]

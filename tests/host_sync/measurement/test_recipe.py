@@ -6,7 +6,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.measurement.recipe import Recipe, checked, from_options, read_recipe
-from host_sync.report.content import read_template
+from host_sync.report.writing import read_template
 
 WHOLE = """
 name = "ground face"

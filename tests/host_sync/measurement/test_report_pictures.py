@@ -7,9 +7,8 @@ import numpy as np
 
 from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.surface import HeightMap
-from host_sync.report.content import Picture, Report
 from host_sync.report.pictures import movie_picture, overview_picture
-from host_sync.report.writing import html_page
+from host_sync.report.writing import Picture, Report, html_page
 
 FIELD = HeightMap(np.zeros((1000, 1400), np.float32), 10.0)
 

@@ -11,7 +11,7 @@ from mosaic_presses import Target, errors_px, grid_places, press_of_map, pressed
 
 from device.align import Pose
 from host_sync.errors import MosaicError
-from host_sync.mosaic.overlaps import Layout
+from host_sync.mosaic.links import Layout
 from host_sync.mosaic.presses import Press, Small, small_of
 from host_sync.mosaic.stitch import period_px, planned, stitch
 from host_sync.results.record import read_record

@@ -16,7 +16,7 @@ from device.surface import Float32Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
-from host_sync.mosaic.overlaps import Layout
+from host_sync.mosaic.links import Layout
 from host_sync.mosaic.presses import Press
 from host_sync.mosaic.record import MosaicRecord
 from host_sync.mosaic.stitch import planned, stitch

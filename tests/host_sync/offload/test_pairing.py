@@ -29,15 +29,16 @@ from device.pairing import (
     leave_device_card,
     take_host_cards,
 )
-from device.pairing_service.service import (
+from device.pairing_service.window import (
+    READING_S,
     PairingSetup,
+    PairingWindow,
     authorize,
     fingerprint_of,
     how_to_call,
     open_pairing_window,
     read_host_key,
 )
-from device.pairing_service.window import READING_S, PairingWindow
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main

@@ -14,8 +14,7 @@ from device.balls.sphere import Ball, BallSamples, Viewpoint
 from device.imaging.flat_field import LinearFrame, flat_field_correct
 from host_sync.calibration.calibrate import Calibration, identified
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
-from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.null_colour import learn_null_colour
+from host_sync.denoising.frame_noise import FrameNoise, learn_null_colour
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from host_sync.render.figures import figure_png
+from host_sync.render.picture_file import figure_png
 
 
 def figure() -> Figure:

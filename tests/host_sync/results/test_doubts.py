@@ -20,10 +20,9 @@ from host_sync import api
 from host_sync.cli.export import ExportFormat
 from host_sync.cli.main import main
 from host_sync.export.surface_export import FORMATS
-from host_sync.results.doubt import DoubtKind
 from host_sync.results.doubts import doubts_at, record_doubts
 from host_sync.results.field_file import write_field, write_mask
-from host_sync.results.record import ResultRecord
+from host_sync.results.record import DoubtKind, ResultRecord
 from host_sync.viewer.catalogue import Catalogue, ListFilter
 from host_sync.viewer.responses import entry_info, profile_csv, profile_info
 from host_sync.viewer.service import NearPose, ViewerService

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from host_sync.results.record import SlopeNoise
-from host_sync.uncertainty.lost_detail import CELL_PX, lost_variance, with_lost_detail
+from host_sync.uncertainty.kernels import CELL_PX, lost_variance, with_lost_detail
 
 SHAPE = (200, 280)
 NOISE = 0.01

@@ -15,8 +15,7 @@ from hal.profile_tables import profile_folder
 from host_sync.errors import SequenceError, SourceError
 from host_sync.frames.sequence import BadFrame, StoredFrame, open_sequence
 from host_sync.video import sensors
-from host_sync.video.recorder import Recorder
-from host_sync.video.sensors import PlayedCapture, Sensor, is_sensor, open_sensor
+from host_sync.video.sensors import PlayedCapture, Recorder, Sensor, is_sensor, open_sensor
 
 SHAPE = (6, 8)
 

@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 from host_sync.frames.sequence import StoredFrame
 from host_sync.video.frame_solver import FrameStatistics
-from host_sync.video.recorder import Recorder
+from host_sync.video.sensors import Recorder
 from host_sync.video.stream import SolvedFrame
 from host_sync.viewer.access import Access
 from host_sync.viewer.app import make_live_app

@@ -1,1 +1,0 @@
-"""Gage repeatability and reproducibility."""

@@ -1,1 +1,0 @@
-"""Lights: their places and directions; of any number of them, which three are read together where."""
