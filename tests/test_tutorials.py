@@ -24,7 +24,7 @@ from device.surface import Float64Array
 from device.tui.screens.app import RetroscanApp
 from hal import board_profile
 from hal.profile_tables import profile_folder
-from host_sync.cli import demo
+from host_sync.cli import view
 from tests.apparatus.printing import needs_browser
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -93,7 +93,7 @@ def newcomer(tmp_path: Path, small_board: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(screens, "require_terminal", lambda: None)
     monkeypatch.setattr(RetroscanApp, "run_async", shown)
     monkeypatch.setattr(instrument_commands, "run_headless", interrupted)
-    monkeypatch.setattr(demo, "_retroscan", in_process)
+    monkeypatch.setattr(view, "_retroscan", in_process)
     return tmp_path
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, Literal
 
-from device.bundles.layout import BundleKind
+from device.bundles.bundle import BundleKind
 from device.bundles.record import (
     MAX_MANIFEST_BYTES,
     BundleId,

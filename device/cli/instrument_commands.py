@@ -14,8 +14,7 @@ from device.acquisition.auto_exposure import auto_exposure as find_exposure
 from device.acquisition.calibrate import calibrate
 from device.acquisition.capture import calibration_settings, keep_balance, with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
-from device.acquisition.movie import MOVIE_S, frames_that_fit
-from device.acquisition.precise_capture import mode_fault
+from device.acquisition.precise_capture import MOVIE_S, frames_that_fit, mode_fault
 from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord

@@ -20,7 +20,7 @@ from device.errors import DeviceError, PairingRefused
 from device.instrument.health import EMPTY_FRACTION, NO_ROOM
 from device.instrument.state import InstrumentState
 from device.pairing import PAIRING_PORT, leave_device_card, take_host_cards
-from device.pairing_service.window import (
+from device.pairing_service import (
     OFFLOAD_USER,
     SSHD_HOST_KEY,
     PairingSetup,

@@ -22,16 +22,14 @@ from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup, gel_state
 from device.instrument.calibration_run import BALL_RADIUS_MM
 from device.instrument.events import Event, Failed, Info
-from device.instrument.history import DeletedScans, History, read_history, read_quick_look
+from device.instrument.history import DeletedScans, History, ScanLabels, read_history, read_quick_look
 from device.instrument.pairing_run import NetworkInfo, PairingRun, network_info
-from device.instrument.scan_labels import ScanLabels
 from device.instrument.spot_search import FIRST
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, SpotState, StateStore
 from device.instrument.worker import InstrumentWorker
 from device.machine.interfaces import Machine
-from device.machine.real_machine import real_machine
-from device.machine.twin_machine import twin_machine
-from device.pairing_service.window import PairingSetup
+from device.machine.real_machine import real_machine, twin_machine
+from device.pairing_service import PairingSetup
 from device.store.choices import (
     SETTINGS,
     Opinion,

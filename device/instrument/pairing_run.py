@@ -11,7 +11,7 @@ from typing import Final
 from device.errors import DeviceError, RecordError
 from device.instrument.events import Failed, PairingChanged
 from device.instrument.state import PairingState, StateStore
-from device.pairing_service.window import (
+from device.pairing_service import (
     PairingSetup,
     PairingWindow,
     describe_code,

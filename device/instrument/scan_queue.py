@@ -36,8 +36,7 @@ from device.instrument.events import (
     ScanFinished,
     show,
 )
-from device.instrument.history import DeletedScans
-from device.instrument.scan_labels import ScanLabels
+from device.instrument.history import DeletedScans, ScanLabels
 from device.instrument.spot_search import SpotSearch
 from device.instrument.state import LastScan, StateStore
 from hal.errors import HalError

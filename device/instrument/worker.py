@@ -17,10 +17,9 @@ from device.instrument.button import LONG_PUSH_S, ButtonEvent, LongPressHandler
 from device.instrument.calibration_run import BalanceRun, CalibrationRun
 from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
 from device.instrument.health import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
-from device.instrument.history import DeletedScans
+from device.instrument.history import DeletedScans, ScanLabels
 from device.instrument.live import LiveLoop, focus_figure_of, skin_levels_of
 from device.instrument.pairing_run import PairingRun
-from device.instrument.scan_labels import ScanLabels
 from device.instrument.scan_queue import ScanQueue, Source
 from device.instrument.spot_search import AreaCover, SpotSearch
 from device.instrument.state import SpotState, StateStore

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import msgspec
 
+from device.bundles.bundle import partial_name
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle, read_calibration
-from device.bundles.layout import partial_name
 from device.bundles.record import checksum_name
 from device.errors import CalibrationMismatch, NoCalibration, RecordError, StoreError
 from device.io.atomic import remove_tree_quietly

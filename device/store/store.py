@@ -18,9 +18,7 @@ from typing import Final
 import msgspec
 import platformdirs
 
-from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
-from device.bundles.check import RECEIPTS, bundle_of
-from device.bundles.layout import (
+from device.bundles.bundle import (
     INBOX,
     MANIFESTS,
     BundleKind,
@@ -32,6 +30,8 @@ from device.bundles.layout import (
     list_bundles,
     publish_bundle,
 )
+from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
+from device.bundles.check import RECEIPTS, bundle_of
 from device.bundles.record import FileEntry, Identity, encode_record
 from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError, StoreError

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from device.bundles.layout import bundle_ids
+from device.bundles.bundle import bundle_ids
 from device.bundles.record import sha256_bytes
 from device.bundles.scan import ScanBundle
 from device.errors import DeviceError

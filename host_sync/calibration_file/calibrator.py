@@ -11,7 +11,6 @@ from device.bundles.calibration import CalibrationBundle
 from device.errors import RecordError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration.frames import CalibrationFrames, calibrate_frames
-from host_sync.calibration_file.archive import Facts
 from host_sync.calibration_file.inputs import (
     CalibrationCache,
     frames_of_bundle,
@@ -20,6 +19,7 @@ from host_sync.calibration_file.inputs import (
     key_of_set,
 )
 from host_sync.calibration_file.kept_calibration import (
+    Facts,
     KeptCalibration,
     facts_of,
     make_calibration,

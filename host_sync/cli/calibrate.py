@@ -64,7 +64,7 @@ def calibrate_command(
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
     check_output(out)
     tell_of_compiling()
-    from host_sync.reconstruction.calibration_overview import with_overview
+    from host_sync.reconstruction.from_library import with_overview
     from host_sync.results.files import OVERVIEW_FILE
 
     with status_spinner() as tell:
@@ -166,9 +166,9 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
     HostError, DeviceError
         There is none, or it is damaged.
     """
-    from host_sync.calibration_file.archive import is_archive
     from host_sync.calibration_file.calibrator import Calibrator
     from host_sync.calibration_file.inputs import CalibrationCache
+    from host_sync.calibration_file.kept_calibration import is_archive
 
     calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
     if library is not None:

@@ -15,11 +15,11 @@ from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_
 from host_sync.cli.measure import result_folders
 from host_sync.errors import ViewError
 from host_sync.library.library import Library, default_library
-from host_sync.mosaic.record import MOSAIC_FILE
+from host_sync.mosaic.presses import MOSAIC_FILE
 from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
-    from host_sync.mosaic.record import MosaicRecord
+    from host_sync.mosaic.presses import MosaicRecord
     from host_sync.results.reader import ResultSurface
     from host_sync.same_spot.comparing import SameSpotRecord
 

@@ -35,7 +35,7 @@ from host_sync.errors import HostError, SourceError
 COMMANDS: Final = (
     Command(
         "demo",
-        "host_sync.cli.demo:demo_command",
+        "host_sync.cli.view:demo_command",
         "Run the whole workflow with a simulated handheld: calibrate, scan, pull, reconstruct, view.",
         (
             "retrosync demo",
@@ -113,7 +113,7 @@ COMMANDS: Final = (
     ),
     Command(
         "import",
-        "host_sync.cli.import_set:import_command",
+        "host_sync.cli.export:import_command",
         "Describe another program's folder as a frame set, and show the balls that are found on a contact sheet.",
         (
             "retrosync import OEMData --out oem.toml",

@@ -29,9 +29,9 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float32Array
+from host_sync.kernels.cell_rows import as_stored, colour_rows, empty_planes
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.kernels.planes import as_stored, colour_rows, empty_planes
 
 LEVELS: Final = 3
 REACH_PX: Final = 2

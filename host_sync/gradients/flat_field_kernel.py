@@ -25,9 +25,9 @@ from device.imaging.flat_field import (
 from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.frames.image_info import Pixels
+from host_sync.kernels.cell_rows import as_stored, colour_rows, empty_planes
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.kernels.planes import as_stored, colour_rows, empty_planes
 
 _MIN_SIDE: Final = 4
 """Smaller mosaics have no pixel with all its neighbours; the portable path takes them."""

@@ -46,10 +46,9 @@ from host_sync.gradients.block_kernels import (
     write_confidence,
 )
 from host_sync.gradients.polynomial_kernel import fourier_factor, tabled_degree, tabulated_fourier_terms, term_numbers
-from host_sync.kernels.cell_rows import WHOLE_CELL, means_of_cells, middles_of_cells
+from host_sync.kernels.cell_rows import WHOLE_CELL, as_stored, colour_rows, means_of_cells, middles_of_cells
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.kernels.planes import as_stored, colour_rows
 
 POWERS: Final = 3
 """Powers 0 to 2 of a position variable."""

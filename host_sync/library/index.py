@@ -14,8 +14,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
+from device.bundles.bundle import MANIFESTS, BundleKind, bundle_ids
 from device.bundles.calibration import CalibrationBundle, read_calibration
-from device.bundles.layout import MANIFESTS, BundleKind, bundle_ids
 from device.bundles.scan import read_scan
 from device.errors import RecordError
 from host_sync.library.labels import Label, read_labels

@@ -17,7 +17,7 @@ from typing import BinaryIO, Final, Literal
 
 import msgspec
 
-from device.bundles.layout import MANIFESTS, BundleKind, is_bundle_id
+from device.bundles.bundle import MANIFESTS, BundleKind, is_bundle_id
 from device.bundles.record import (
     BundleId,
     Count,

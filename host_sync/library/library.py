@@ -15,8 +15,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
+from device.bundles.bundle import MANIFESTS, BundleKind, Listing, bundle_ids, list_bundles, partial_name
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
-from device.bundles.layout import MANIFESTS, BundleKind, Listing, bundle_ids, list_bundles, partial_name
 from device.bundles.record import read_manifest, sha256_bytes
 from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError

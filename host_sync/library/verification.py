@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from device.bundles.layout import MANIFESTS, PARTIAL_SUFFIX, DamagedBundle
+from device.bundles.bundle import MANIFESTS, PARTIAL_SUFFIX, DamagedBundle
 from device.bundles.record import (
     Record,
     ShortText,

@@ -13,7 +13,7 @@ import numpy as np
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface import Float32Array, Float64Array, GradientField
-from host_sync.denoising.blur_correction import BLUR_PX
+from host_sync.denoising.slope_noise import BLUR_PX
 from host_sync.integration.datum import cell_means
 from host_sync.kernels.cell_rows import (
     WHOLE_CELL,

@@ -22,7 +22,7 @@ from device.align import Pose
 from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MosaicError
 from host_sync.mosaic.presses import Fields, Press, Small
-from host_sync.registration.resampling import between_pixels, moved, reduced
+from host_sync.registration.fit import between_pixels, moved, reduced
 from host_sync.results.field_file import MAX_PIXELS
 
 BLOCKS: Final = 24

@@ -18,9 +18,8 @@ from device.surface import Float32Array, HeightMap
 from host_sync.mosaic.adjustment import Adjusted
 from host_sync.mosaic.blending import Blend, Canvas, Levels, Meeting
 from host_sync.mosaic.links import Link
-from host_sync.mosaic.presses import Press
-from host_sync.mosaic.record import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, encode_mosaic
-from host_sync.registration.resampling import reduced
+from host_sync.mosaic.presses import MOSAIC_FILE, LinkRecord, MosaicRecord, PlaceRecord, Press, encode_mosaic
+from host_sync.registration.fit import reduced
 from host_sync.render.relief_sheet import write_relief
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import EXTRAPOLATED_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE

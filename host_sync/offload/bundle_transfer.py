@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from device.bundles.bundle import MANIFESTS, BundleKind
 from device.bundles.calibration import decode_calibration
-from device.bundles.layout import MANIFESTS, BundleKind
 from device.bundles.record import (
     CHUNK_BYTES,
     MAX_MANIFEST_BYTES,

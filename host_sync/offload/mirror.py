@@ -14,7 +14,7 @@ from typing import Final
 
 import asyncssh
 
-from device.bundles.layout import MANIFESTS, BundleKind, partial_name
+from device.bundles.bundle import MANIFESTS, BundleKind, partial_name
 from device.bundles.record import CHUNK_BYTES, FileEntry, checksum_name, describe_file, sha256_bytes
 from device.errors import DeviceError, RecordError
 from device.io.atomic import RESULTS

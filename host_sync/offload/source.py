@@ -17,7 +17,7 @@ from typing import BinaryIO, Final, Protocol
 
 import msgspec
 
-from device.bundles.layout import MANIFESTS, BundleKind, BundleNames, bundle_names
+from device.bundles.bundle import MANIFESTS, BundleKind, BundleNames, bundle_names
 from device.bundles.record import CHUNK_BYTES
 from device.io.folder import Folder, open_regular
 from device.io.system import explain_os_error

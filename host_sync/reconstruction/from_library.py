@@ -1,6 +1,7 @@
 """Reconstructs the scans of a frame set, and those of a library with the calibration that was active at their press.
 
-Results of a frame set go to DIR/<scan>/, its report to DIR/calibration/.
+Results of a frame set go to DIR/<scan>/, its report to DIR/calibration/. The report's overview picture shows the
+reference read as a scan.
 """
 
 from __future__ import annotations
@@ -15,24 +16,42 @@ from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
 from device.calibration.acceptance import PITCH_GROSS_SHARE
 from device.errors import CalibrationMismatch, DeviceError
+from device.imaging.flat_field import LinearFrame
 from device.io.atomic import check_replaceable
 from hal.frame import AS_GRANTED, BayerOrder
 from host_sync.calibration.calibrate import Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
-from host_sync.calibration_report.report import REPORT_FILE
+from host_sync.calibration_report.report import DPI, REPORT_FILE
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
-from host_sync.frames.light_sequence import LightSequence, read_light_sequence
-from host_sync.frames.linear_light import read_frame
+from host_sync.frames.linear_light import LightSequence, read_frame, read_light_sequence
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.render.picture_file import figure_png
 from host_sync.results.doubts import stated_doubts
-from host_sync.results.files import DetailName
+from host_sync.results.files import OVERVIEW_FILE, DetailName
 from host_sync.results.record import FrameCheck, not_checked
+
+NO_REFERENCE = "no frame of untouched skin: nothing shows how flat it is read"
+
+
+def with_overview(kept: KeptCalibration, reference: LinearFrame | None) -> KeptCalibration:
+    """Return the calibration with the overview among the files of its report."""
+    from host_sync.calibration_report.overview import overview_figure  # matplotlib takes a while to load
+
+    at_rest, why_not = None, NO_REFERENCE
+    if reference is not None:
+        try:
+            at_rest = reconstruct(reference, kept.calibration, "the reference", force=True).height
+        except (DeviceError, HostError) as error:
+            why_not = f"the reference cannot be read as a scan: {error}"
+    picture = figure_png(overview_figure(kept.calibration, at_rest, why_not), DPI)
+    return replace(kept, report=kept.report | {OVERVIEW_FILE: picture})
+
 
 CALIBRATION_FOLDER = "calibration"
 SAME_PIXEL_SHAPE: Final = 0.01

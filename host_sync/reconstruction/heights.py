@@ -15,7 +15,7 @@ from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.denoising.blur_correction import BLUR_PX, without_blur
+from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
 from host_sync.frame_checks.layout_check import check_datum
 from host_sync.integration.integrate import IntegrationReport, integrate

@@ -10,7 +10,7 @@ import numpy as np
 from device.imaging.flat_field import LinearFrame
 from device.surface import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.denoising.blur_correction import without_blur
+from host_sync.denoising.slope_noise import without_blur
 from host_sync.gradients.confidence import extrapolated
 from host_sync.integration.integrate import IntegrationReport, surface_slopes
 from host_sync.integration.zero_level import NO_ZERO, Datum
@@ -33,7 +33,7 @@ from host_sync.uncertainty.kernels import lost_variance, with_lost_detail
 
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Calibration, Method
-    from host_sync.frames.light_sequence import LightSequence
+    from host_sync.frames.linear_light import LightSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ from host_sync.results.record import FrameCheck, refusals
 
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Calibration, Method
-    from host_sync.frames.light_sequence import LightSequence
+    from host_sync.frames.linear_light import LightSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

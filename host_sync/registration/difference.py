@@ -10,8 +10,8 @@ import numpy as np
 from device.align import Pose
 from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import RegistrationRefused, ViewError
+from host_sync.registration.fit import at_pitch, centred, moved
 from host_sync.registration.register import MIN_AGREEMENT, NOTHING_IN_COMMON, Registration, register
-from host_sync.registration.resampling import at_pitch, centred, moved
 
 MIN_SHARE: Final = 0.02
 """Least common field, as a fraction of the first map."""

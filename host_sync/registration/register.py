@@ -11,8 +11,7 @@ import numpy as np
 from device.align import Complex, PlaceSearch, Pose, relief_slopes
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import ViewError
-from host_sync.registration.fit import Fit, Pair, coherence, fit, judged_at, middle_px
-from host_sync.registration.resampling import at_pitch, reduced
+from host_sync.registration.fit import Fit, Pair, at_pitch, coherence, fit, judged_at, middle_px, reduced
 
 COARSE_PX: Final = 120
 TURNS_DEG: Final = tuple(range(-24, 25, 3))

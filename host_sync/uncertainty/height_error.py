@@ -17,8 +17,13 @@ import numpy as np
 
 from device.surface import NOISE_KEPT, Float32Array, GradientField, HeightMap, MaskArray, integrate_dct
 from host_sync.integration.zero_level import Datum, block_medians
-from host_sync.uncertainty.ball_gains import gain_at, gains_by_place, local_normals, shared_and_local
-from host_sync.uncertainty.calibration_uncertainty import CalibrationUncertainty
+from host_sync.uncertainty.calibration_uncertainty import (
+    CalibrationUncertainty,
+    gain_at,
+    gains_by_place,
+    local_normals,
+    shared_and_local,
+)
 from host_sync.uncertainty.kernels import (
     piecewise_linear,
     removed_slope,

@@ -28,7 +28,7 @@ from device.calibration.fit import InverseFit, SlopeBand
 from device.calibration.slope_gain import angle_between_deg
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float32Array, Float64Array, MaskArray
-from host_sync.uncertainty.ball_gains import believed_gains, gains_of_ball, with_gains
+from host_sync.uncertainty.calibration_uncertainty import believed_gains, gains_of_ball, with_gains
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 
 SPLIT_SHARE: Final = 0.1

@@ -31,9 +31,9 @@ from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import Datum, find_datum, no_datum
 from host_sync.johnson2009.model import estimate_gradients
+from host_sync.kernels.cell_rows import in_planes
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
-from host_sync.kernels.planes import in_planes
 from host_sync.reconstruction.slope_reading import raise_on_warnings, seen_slopes
 from host_sync.results.record import refusals
 from host_sync.video.fine_pass import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from device.acquisition.movie import MOVIE_S
+from device.acquisition.precise_capture import MOVIE_S
 from hal.hardware import Hardware
 from hal.interfaces import PressObject
 from hal.simulator.bench import SimulatedScene

@@ -12,7 +12,7 @@ import numpy as np
 from device.align import Pose
 from device.surface import Float32Array, Float64Array
 from host_sync.mosaic.presses import Fields, Press
-from host_sync.registration.resampling import between_pixels
+from host_sync.registration.fit import between_pixels
 from host_sync.results.field_file import write_field
 from host_sync.results.files import HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE
 from host_sync.results.record import ResultRecord, encode_record

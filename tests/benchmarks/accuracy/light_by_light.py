@@ -20,7 +20,7 @@ from device.acquisition.capture import CaptureSettings, capture
 from device.imaging.flat_field import bin_bayer, demosaic
 from device.imaging.frame_light import without_ambient
 from hal.interfaces import OperatorRequest, PressBall, PressObject
-from host_sync.frames.light_sequence import CHANNELS, LightSequence
+from host_sync.frames.linear_light import CHANNELS, LightSequence
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.benchmarks.accuracy.ball_error import inner_contact
 from tests.benchmarks.accuracy.twin_instrument import BALL_RADIUS_MM, TwinInstrument, TwinScan, reference_profile

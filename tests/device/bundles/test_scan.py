@@ -15,9 +15,9 @@ from device.bundles.calibration import CalibrationBundle, read_calibration
 from device.bundles.record import encode_record, manifest_checksum
 from device.bundles.scan import ScanBundle, decode_scan, read_scan
 from device.errors import DeviceError, RecordError
-from device.store.schemas import schema_bytes, schemas
 from device.store.store import BundleStore
 from hal.frame import RawFrame
+from tests.apparatus.schemas import schema_bytes, schemas
 
 PublishScan = Callable[..., ScanBundle]
 PublishCalibration = Callable[[BundleStore], CalibrationBundle]

@@ -4,8 +4,8 @@ from datetime import timedelta
 
 import pytest
 
+from device.bundles.bundle import FileWriter
 from device.bundles.check import CheckStandard, StandardKind
-from device.bundles.layout import FileWriter
 from device.bundles.scan import ScanBundle, ScanRecord
 from device.instrument.events import Checked, Failed, ScanFinished
 from device.instrument.instrument import Instrument

@@ -16,7 +16,7 @@ from device.cli.main import main
 from device.cli.service import POWER_OFF_FILE
 from device.instrument.calibration_run import IDLE_TIMEOUT_S
 from device.instrument.instrument import Instrument
-from device.pairing_service.window import PairingSetup
+from device.pairing_service import PairingSetup
 from device.store.store import BundleStore
 from hal.drivers.gpio_lines import BlinkIndicator
 from hal.errors import IndicatorError

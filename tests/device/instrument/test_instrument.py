@@ -38,7 +38,7 @@ from device.pairing import (
     commitment_to,
     draw_number,
 )
-from device.pairing_service.window import PairingSetup
+from device.pairing_service import PairingSetup
 from device.store.choices import make_gel, mount_gel
 from device.store.store import BundleStore
 from hal.hardware import Hardware

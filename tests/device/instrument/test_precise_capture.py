@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.movie import FrameMean
-from device.acquisition.precise_capture import AVERAGE_S, capture_precisely, exposures_record
+from device.acquisition.precise_capture import AVERAGE_S, FrameMean, capture_precisely, exposures_record
 from device.bundles.scan import CaptureMode, ScanBundle
 from device.imaging.flat_field import SATURATED, bin_bayer, flat_field_correct, make_flat_field
 from device.instrument.events import ScanFinished

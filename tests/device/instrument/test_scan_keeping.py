@@ -10,8 +10,8 @@ from msgspec import structs
 from device.bundles.scan import Annotations
 from device.errors import RecordError, StoreError
 from device.instrument.events import Failed, Info, ScanFinished
+from device.instrument.history import next_part
 from device.instrument.instrument import Instrument
-from device.instrument.scan_labels import next_part
 from device.store.deletion import purge_deleted
 from device.store.store import BundleStore
 from hal.hardware import Hardware

@@ -19,7 +19,7 @@ from textual.pilot import Pilot
 from device.instrument.demo_faults import DemoDisk, DemoFaults
 from device.instrument.instrument import Instrument
 from device.machine.interfaces import Machine
-from device.pairing_service.window import PairingSetup
+from device.pairing_service import PairingSetup
 from device.store.store import BundleStore
 from device.tui.drawing.cells import ColourDepth
 from device.tui.screens.app import RetroscanApp

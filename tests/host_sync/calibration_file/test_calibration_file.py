@@ -19,15 +19,17 @@ from pressed_frames import write_frame_set
 from device.balls.sphere import Viewpoint
 from device.errors import CalibrationError
 from host_sync.calibration.calibrate import Calibration
-from host_sync.calibration_file.archive import FACTS_FILE, read_archive, write_archive
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import CalibrationCache, frames_of_set, key_of_set
 from host_sync.calibration_file.kept_calibration import (
+    FACTS_FILE,
     REPORT_NAMES,
     KeptCalibration,
     facts_of,
     make_calibration,
+    read_archive,
     read_calibration_file,
+    write_archive,
 )
 from host_sync.calibration_file.soundness import check_sound
 from host_sync.cli.main import main

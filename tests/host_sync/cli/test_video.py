@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from device.acquisition.movie import MEMORY_FRACTION
+from device.acquisition.precise_capture import MEMORY_FRACTION
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
 from device.bundles.raw_frame import write_raw

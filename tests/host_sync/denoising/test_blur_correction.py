@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.surface import HeightMap
-from host_sync.denoising.blur_correction import without_blur
+from host_sync.denoising.slope_noise import without_blur
 
 BLUR_PX = 0.6
 

@@ -9,7 +9,7 @@ from device.imaging.flat_field import NormalizedImage
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
 from host_sync.denoising.wavelet_shrinkage import detail_planes, shrink, shrink_but_long_waves
-from host_sync.kernels.planes import in_planes
+from host_sync.kernels.cell_rows import in_planes
 
 SIGMA = 0.01
 SHAPE = (320, 480)

@@ -8,10 +8,9 @@ from device.imaging.flat_field import DEMOSAIC_BLUR_PX
 from device.inverse_map.model import InverseMap
 from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
-from host_sync.denoising.blur_correction import BLUR_PX
 from host_sync.denoising.bounded_shrinkage import shrinkage_of
 from host_sync.denoising.frame_noise import FrameNoise
-from host_sync.denoising.slope_noise import measure_slope_noise
+from host_sync.denoising.slope_noise import BLUR_PX, measure_slope_noise
 from host_sync.results.record import SlopeNoise
 
 SHAPE = (200, 300)

@@ -23,7 +23,7 @@ from host_sync.denoising.wavelet_shrinkage import (
     shrink,
     with_parent,
 )
-from host_sync.kernels.planes import in_planes
+from host_sync.kernels.cell_rows import in_planes
 
 NOISE = FrameNoise(np.diag([1e-4, 2e-4, 1.5e-4]), np.array([1.0, 0.2, 0.05]))
 RECIPE = NOISE.shrinkage((0.8, 1.8, 1.8), (0.6, 0.0, 0.0))

@@ -13,7 +13,7 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, fl
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 from host_sync.frames.linear_light import light_of_values
 from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity
-from host_sync.kernels.planes import in_planes
+from host_sync.kernels.cell_rows import in_planes
 
 SHAPES = [(4, 4), (6, 4), (4, 10), (2, 2), (2, 8), (66, 70), (98, 130)]
 

@@ -21,7 +21,7 @@ from device.inverse_map.regressor import (
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.denoising.frame_noise import NullColour
 from host_sync.gradients.inverse_map_kernel import evaluate
-from host_sync.kernels.planes import in_planes
+from host_sync.kernels.cell_rows import in_planes
 
 SHAPE = (150, 300)
 

@@ -5,7 +5,7 @@ import pytest
 
 from device.inverse_map.regressor import colour_exponents, monomials
 from host_sync.gradients.polynomial_kernel import tabled_degree, term_numbers, write_polynomial
-from host_sync.kernels.planes import as_stored, colour_rows, empty_planes, in_planes
+from host_sync.kernels.cell_rows import as_stored, colour_rows, empty_planes, in_planes
 
 
 @pytest.mark.parametrize("degree", range(9))

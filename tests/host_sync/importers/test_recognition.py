@@ -294,7 +294,7 @@ def test_what_is_stopped_is_not_in_the_way_of_the_next_try(tmp_path: Path, monke
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
     with monkeypatch.context() as patch:
-        patch.setattr("host_sync.importers.contact_sheet.write_contact_sheet", stop)
+        patch.setattr("host_sync.importers.recognition.write_contact_sheet", stop)
         assert run(tmp_path, *OPTIONS) == 130
     assert not (tmp_path / "frameset.toml").exists()
 

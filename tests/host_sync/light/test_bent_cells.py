@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from device.surface import Float32Array, GradientField
-from host_sync.denoising.blur_correction import BLUR_PX
+from host_sync.denoising.slope_noise import BLUR_PX
 from host_sync.light.reading import slopes_hidden_by_means
 
 CELL = 4

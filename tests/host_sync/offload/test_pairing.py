@@ -29,7 +29,7 @@ from device.pairing import (
     leave_device_card,
     take_host_cards,
 )
-from device.pairing_service.window import (
+from device.pairing_service import (
     READING_S,
     PairingSetup,
     PairingWindow,

@@ -28,7 +28,7 @@ from device.pairing import (
     commitment_to,
     draw_number,
 )
-from device.pairing_service.window import READING_S, PairingWindow, authorize
+from device.pairing_service import READING_S, PairingWindow, authorize
 from hal.clock import VirtualClock
 from host_sync.errors import HostError
 from host_sync.offload import paired_devices

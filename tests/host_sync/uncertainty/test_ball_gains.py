@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, sphere_slopes
-from host_sync.uncertainty.ball_gains import (
+from host_sync.uncertainty.calibration_uncertainty import (
     CLOSE_WIDTHS,
     believed_gains,
     gain_at,

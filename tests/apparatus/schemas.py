@@ -1,6 +1,6 @@
-"""JSON Schema of every record, for other programs: `docs/schemas/` holds what this module says.
+"""JSON Schema of every record, for other programs: `docs/schemas/` holds what this module writes.
 
-After a change: python -c "import pathlib, device.store.schemas as s; s.write_schemas(pathlib.Path('docs/schemas'))"
+After a change: python -c "import pathlib, tests.apparatus.schemas as s; s.write_schemas(pathlib.Path('docs/schemas'))"
 """
 
 from __future__ import annotations

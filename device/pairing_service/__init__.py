@@ -1,1 +1,0 @@
-"""The listening side of pairing, and authorized keys."""
