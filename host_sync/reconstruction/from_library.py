@@ -26,11 +26,12 @@ from host_sync.calibration_report.report import DPI, REPORT_FILE
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
-from host_sync.frames.linear_light import LightSequence, read_frame, read_light_sequence
+from host_sync.frames.linear_light import read_frame
 from host_sync.kernels.kept_memory import kept_memory
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.reconstruction.slope_reading import LightSequence, read_light_sequence
 from host_sync.render.picture_file import figure_png
 from host_sync.results.doubts import stated_doubts
 from host_sync.results.files import OVERVIEW_FILE, DetailName

@@ -33,7 +33,7 @@ from host_sync.uncertainty.kernels import lost_variance, with_lost_detail
 
 if TYPE_CHECKING:
     from host_sync.calibration.calibrate import Calibration, Method
-    from host_sync.frames.linear_light import LightSequence
+    from host_sync.reconstruction.slope_reading import LightSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

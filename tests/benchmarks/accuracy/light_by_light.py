@@ -20,8 +20,9 @@ from device.acquisition.capture import CaptureSettings, capture
 from device.imaging.flat_field import bin_bayer, demosaic
 from device.imaging.frame_light import without_ambient
 from hal.interfaces import OperatorRequest, PressBall, PressObject
-from host_sync.frames.linear_light import CHANNELS, LightSequence
+from host_sync.light_groups import CHANNELS
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.slope_reading import LightSequence
 from tests.benchmarks.accuracy.ball_error import inner_contact
 from tests.benchmarks.accuracy.twin_instrument import BALL_RADIUS_MM, TwinInstrument, TwinScan, reference_profile
 from tests.benchmarks.accuracy.twin_verdict import PLACES

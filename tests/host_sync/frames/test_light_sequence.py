@@ -15,7 +15,7 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.operator import specimen
 from hal.simulator.scene import Press
-from host_sync.frames.linear_light import LightSequence, read_light_sequence
+from host_sync.reconstruction.slope_reading import LightSequence, read_light_sequence
 
 
 def test_channels_show_their_own_light_without_ambient_light_or_other_lights(
