@@ -248,7 +248,7 @@ FORMATS: Final = {
     "sur": Format("surface_formats:write_sur", one_layer=True),
     "sdf": Format("surface_formats:write_sdf", one_layer=True),
     "al3d": Format("surface_formats:write_al3d", one_layer=True, little_room=True),
-    "tmd": Format("tmd:write_tmd", one_layer=True, little_room=True),
+    "tmd": Format("array_formats:write_tmd", one_layer=True, little_room=True),
     "tiff": Format("array_formats:write_float_tiff", suffix="tif"),
     "png": Format("array_formats:write_png16", side_writer="array_formats:write_png_scale", side_suffix="png.json"),
     "npz": Format("array_formats:write_npz"),
