@@ -238,7 +238,8 @@ def quiet_intensity(
     if len(row) < MIN_PIXELS_PER_TERM * len(powers):
         return intensity
     across, down = ((place - place.mean()) / contact_radius_px for place in (column, row))
-    terms = np.stack([across**i * down**j for i, j in powers], axis=-1)
+    rising = [np.vander(place, DEGREE + 1, increasing=True).T for place in (across, down)]
+    terms = np.stack([rising[0][i] * rising[1][j] for i, j in powers], axis=-1)
     seen, weight = intensity.astype(np.float64), np.ones(len(row))
     for _ in range(ROUNDS):
         weighed = terms * weight[:, None]

@@ -24,6 +24,7 @@ from host_sync.calibration.assessment import DIAMETER, DIAMETER_QUESTION, PIXEL_
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate, identified
 from host_sync.calibration.scale import with_stated_pitch
+from host_sync.kernels.kept_memory import kept_memory
 from host_sync.light.model import Position
 from host_sync.light_groups import CHANNELS, Group, choose_groups, find_light_groups, in_group
 from host_sync.uncertainty.slope_error import SlopeError, error_by_tilt
@@ -133,6 +134,7 @@ class CalibrationFrames:
         return replace(self, presses=tuple(presses))
 
 
+@kept_memory()
 def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
     """Return the calibration that the frames carry; errors as for `calibrate`."""
     calibration = calibrate_lights(
