@@ -84,6 +84,9 @@ class _Caller:
 class PairingWindow:
     """An open window; a context manager that closes it, so that nothing listens afterwards.
 
+    It has threads of its own, so that a screen or a button's loop only polls it. Several callers are served at once, and
+    silent ones make room. One code is shown at a time; the third that nobody confirms closes the window.
+
     listening : socket for workstations; the window closes it
     card : the device's
     authorize : installs a workstation's key
@@ -256,7 +259,6 @@ class PairingWindow:
 
 
 # Keys of the workstations that may fetch scans: one line each, as sshd reads it.
-
 SSHD_HOST_KEY: Final = Path("/etc/ssh/ssh_host_ed25519_key.pub")
 _SECRET: Final = 0o600
 _RESTRICTED: Final = "restrict"

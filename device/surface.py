@@ -1,8 +1,17 @@
-"""Gradient field, height map and the conventions of every module; fast integration over a full rectangle.
+"""Gradient field, height map, stereographic slopes, the conventions of every module, and integration of a rectangle.
 
-`integrate_dct` is fast enough for the handheld: the least-squares surface of min Σ (f_x − p)² + (f_y − q)² (paper,
-eq. 9) with free (Neumann) borders. Differences are defined on the edges between neighbouring pixels, where the slope
-is the mean of the two pixels'.
+* Arrays are (row, column); the centre of the first pixel is (0, 0); rows grow downwards.
+* p = dz/dcolumn and q = dz/drow, dimensionless (µm/µm).
+* z is in µm, positive towards the camera, so a bump on the object is positive.
+  Rows down and z to the camera make the frame left-handed; writers of formats with y upwards flip it once.
+* Invalid is not zero: NaN in float arrays, False in masks.
+* Colour order is R, G, B.
+
+The stereographic slope u = 2 (p, q) / (1 + sqrt(1 + p² + q²)) is the target of fits. It stays bounded for steep
+slopes, so that steep pixels do not dominate a least-squares fit.
+
+`integrate_dct` finds the least-squares surface of min Σ (f_x − p)² + (f_y − q)² (paper, eq. 9) with free (Neumann)
+borders. Differences are defined on the edges between neighbouring pixels, where the slope is the mean of the two.
 """
 
 from __future__ import annotations

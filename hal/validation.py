@@ -256,6 +256,7 @@ def _decoded(decode: Callable[[], T], text: bytes, form: str) -> T:
 
 
 def _reason(data: bytes, error: Exception, form: str) -> str:
+    """Return what the file is not; the libraries' own messages on bytes that are not text name codecs and bytes."""
     fewer, more = sorted((data[::2].count(0), data[1::2].count(0)))
     if data.startswith((BOM_UTF32_LE, BOM_UTF32_BE)):
         return "it is text in UTF-32: save it as UTF-8"

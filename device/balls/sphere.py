@@ -25,6 +25,9 @@ INVERSE_ROUNDS: Final = 8
 class Viewpoint:
     """Position of a camera that looks straight down, pixels of untouched skin.
 
+    A camera nearby sees raised skin larger, and farther from the middle: a pixel's ray meets skin at the elevation z
+    where it leans by z / height towards the middle of the field.
+
     column, row : the place below it
     height_px : its height over untouched skin, as rays inside the gel see it
     """

@@ -245,6 +245,9 @@ def list_bundles(root: Path, kind: BundleKind, read: Callable[[Path], BundleT]) 
     return Listing(tuple(bundles), tuple(damaged))
 
 
+# Publishing: a bundle grows in a temporary directory and appears under its name in one step. A writer locks its
+# temporary directory. So a start removes what a power cut left, and nothing that is being written.
+
 FileWriter = Callable[[Path], None]
 ManifestBuilder = Callable[[dict[str, FileEntry]], bytes]
 

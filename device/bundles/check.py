@@ -32,7 +32,10 @@ _SUFFIX: Final = ".json"
 
 
 class Receipt(Record, frozen=True, tag_field="schema", tag=RECEIPT_SCHEMA):
-    """A workstation's statement about one bundle.
+    """A workstation's statement that it stored a bundle, read it back and found every byte as promised.
+
+    Only a receipt allows a device to delete a scan, and only when it names the kind, the id and the very manifest that
+    the device holds.
 
     manifest_sha256 : hash of the manifest, which holds the hash of every file
     host : the workstation's name, for people

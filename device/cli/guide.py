@@ -1,4 +1,4 @@
-"""`retroscan demo`, `guide`, `cover` and `focus`: to learn the instrument, or to place it; no scan is stored."""
+"""`retroscan demo`, `guide`, `cover` and `focus`: the simulated handheld's screens, and help with placing and focusing."""
 
 from __future__ import annotations
 

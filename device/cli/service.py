@@ -50,6 +50,10 @@ POWER_OFF_FILE: Final = "poweroff"
 class SdNotify:
     """The service manager behind a datagram socket.
 
+    Only the work loop feeds the watchdog, so that a hung loop goes silent and is restarted. The loop's owner calls
+    `ServiceReport` in every turn and lets no turn wait longer than `longest_wait_s`. The protocol is one datagram of
+    text, see sd_notify(3).
+
     Parameters
     ----------
     address : of the socket, a path or an abstract name that begins with "@"; None without a service manager

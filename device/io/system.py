@@ -11,6 +11,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+# The owner of a store may do everything; its group (the offload user) reads, and writes in two folders. Modes are set
+# explicitly, because a umask that lets groups write must not open the scans to them.
+
 FOLDER_MODE: Final = 0o750
 FILE_MODE: Final = 0o640
 SHARED_MODE: Final = 0o770

@@ -25,6 +25,11 @@ from device.io.atomic import publish_directory, remove_tree_quietly, replace_fil
 from device.io.folder import Folder
 from device.io.system import FILE_MODE, explain_os_error
 
+# Scans copied to <stick>/retrograph-<device>/scans/<id>/, and their calibrations to calibrations/<id>/ beside them.
+#
+# A copy counts when every byte of it was read back from the stick, not from memory, and agrees with the manifest. Only
+# then the scan gets a receipt, as from a workstation, so that its room may be used when it is needed.
+
 MOUNTS: Final = Path("/proc/self/mounts")
 MOUNT_ROOTS: Final = ("/media/", "/run/media/", "/mnt/")
 """Where sticks are mounted."""

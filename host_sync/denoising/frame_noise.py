@@ -141,6 +141,17 @@ def _level_ratios(images: Sequence[Float32Array], covariance: Float64Array) -> F
     return np.asarray(np.maximum(level / max(finest, 1e-12), 1e-6))
 
 
+# The null colour: the change of three colours that no slope makes, and what noise along it does to slopes.
+#
+# Colours of a surface lie on a surface of their own: two slopes move them in two directions, noise in three. A map that
+# was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So what
+# shrinkage took out of a pixel is measured along the third direction, and the slope that noise of such a colour has on
+# the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel by itself.
+# Detail of the surface has nothing along that direction, and stays.
+#
+# Both the direction and that slope are polynomials of first degree in stereographic slope and in place. A matt skin's
+# direction is one, but for a factor: its colours are linear in the normal.
+
 MAX_BALL_SAMPLES: Final = 12_000
 MIN_SAMPLES: Final = 500
 STEP: Final = 6e-3

@@ -151,7 +151,7 @@ def integrate_forward_difference(gradients: GradientField, pitch_um: float) -> t
 
     E(z) = Σ (∂f/∂x - p)² + (∂f/∂y - q)² with ∂f/∂x = f(x + 1, y) - f(x, y): a pixel's slope is used as the height
     difference to its next neighbour, half a pixel off, and every pixel has the same weight. The default method averages
-    slopes onto the edges and weights them (see `integration.edges`).
+    slopes onto the edges and weights them (see `integration.levels`).
     """
     unweighted = replace(gradients, weight=gradients.valid.astype(np.float32))
     return integrate(unweighted, pitch_um, edges="printed")

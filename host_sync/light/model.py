@@ -2,7 +2,7 @@
 
 The light of a few upright panels falls on a rough coat (Oren and Nayar, "Generalization of Lambert's reflectance
 model", SIGGRAPH 1994) with a glossy lobe (Walter et al., "Microfacet models for refraction through rough surfaces",
-EGSR 2007). Skin around a place adds one bounce (`interreflection`). What sources cannot describe is a polynomial in the
+EGSR 2007). Skin around a place adds one bounce (`kernels.incoming_light`). What sources cannot describe is a polynomial in the
 normal and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is divided
 by that of skin at rest, so that neither vignetting nor the brightness of a source matters.
 """
@@ -126,7 +126,7 @@ class LightModel:
 
         slope : shape (N, 2)
         places : see `places`
-        incoming : light from skin around (`interreflection`) over the light at rest, shape (N, C)
+        incoming : light from skin around (`kernels.incoming_light`) over the light at rest, shape (N, C)
         """
         p, q = slope.T
         x, y, z = places

@@ -1,7 +1,7 @@
 """Access control of the viewer: link, session cookie, Host check and security headers.
 
 A link carries a code that is exchanged for a session cookie, and leaves the address bar with the exchange. On loopback
-the link of a folder stays the same from run to run (`kept_address.py`), and the page is served under a random host name
+the link of a folder stays the same from run to run (`kept_access`), and the page is served under a random host name
 below `localhost`: browsers send a host's cookies to all of its ports, so a cookie of 127.0.0.1 would reach every other
 server on this machine. A browser on the desktop is started with a file that only its user can read, because every user
 can read the arguments of a program.
