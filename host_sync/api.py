@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from host_sync.api_types import Detail, Encoding, HeightStream, Kept, Method, Press
 from host_sync.api_types import HeightFrame as HeightFrame
 from host_sync.api_types import Result as Result
-from host_sync.blas_threads import one_blas_thread
+from host_sync.kernels.process_settings import one_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -26,7 +26,7 @@ from host_sync.errors import (
     HostError,
     IntegrationError,
 )
-from host_sync.frames.channel_counts import check_channels, count_values, full_scale_of
+from host_sync.frames.channels import check_channels, count_values, full_scale_of
 from host_sync.frames.frame_set import FrameSpec, check_ball, square_ball
 from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.image_file import read_image, read_info

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from device.surface import Float64Array
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MeasurementError
-from host_sync.text import number_in, read_table
 
 POOLING_P: Final = 0.25
 CATEGORIES: Final = 1.41

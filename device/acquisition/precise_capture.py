@@ -1,4 +1,4 @@
-"""Several frames of one press: a movie from touch to depth, or the mean of some, under no light and under each alone.
+"""One press as several frames: a movie from touch to depth, a mean, or one under each light and under none.
 
 A movie holds raw frames of half the size, and the best at full size.
 """
@@ -24,12 +24,10 @@ from device.acquisition.capture import (
 )
 from device.bundles.scan import (
     MAX_MOVIE_FRAMES,
-    Annotations,
     CaptureMode,
     ExposuresRecord,
     MovieFrameRecord,
     MovieRecord,
-    VerdictLevel,
     VerdictRecord,
 )
 from device.errors import CaptureModeRefused
@@ -204,20 +202,6 @@ def small_light(frame: RawFrame) -> Float32Array:
 def brightest_light(smooth: Float32Array) -> np.float32:
     """Return the 99th percentile of a small image, above zero."""
     return np.float32(max(float(np.percentile(smooth, 99)), 1e-6))
-
-
-@dataclass(frozen=True, slots=True)
-class Retake:
-    """The scan that a press is to replace, as it was when the operator asked for that."""
-
-    scan_id: str
-    counter: int
-    level: VerdictLevel
-    annotations: Annotations
-
-    def is_replaced_by(self, level: VerdictLevel) -> bool:
-        """Return whether a press with this verdict replaces it: not one that is worse, or to be taken again itself."""
-        return level != "retake" and not (level == "doubtful" and self.level == "good")
 
 
 AVERAGE_S: Final = 0.150

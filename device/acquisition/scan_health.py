@@ -11,8 +11,7 @@ import numpy as np
 from device.errors import DeviceError
 from device.guidance.guide import GuideModel, PressMeasure, measure_frame
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct
-from device.imaging.frame_light import Levels
-from device.quality.light_shares import LightShares
+from device.imaging.frame_light import Levels, LightShares
 from device.quality.press_faults import (
     FLAT_RESIDUAL_UM,
     LIGHT_CONTACT,

@@ -11,7 +11,6 @@ from device.acquisition.capture import CaptureSettings, capture_with_faults
 from device.acquisition.check_press import measure_check
 from device.acquisition.precise_capture import (
     PreciseCapture,
-    Retake,
     capture_precisely,
     exposures_record,
     frames_stored,
@@ -28,6 +27,7 @@ from device.bundles.scan import (
     CaptureMode,
     LightFaultRecord,
     PowerRecord,
+    Retake,
     ScanBundle,
     ScanRecord,
     VerdictRecord,

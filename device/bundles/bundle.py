@@ -1,4 +1,4 @@
-"""Common part of scan and calibration bundles: their places, their publishing, and access to the files that they list.
+"""Common part of scan and calibration bundles: their places, files, publishing and receipts.
 
 A bundle is a plain folder with a record, the same on the device and in the library; it is published in one step.
 """
@@ -14,13 +14,21 @@ from typing import Final, Generic, Literal, Protocol, TypeVar
 
 from device.bundles.raw_frame import read_bundle_frame
 from device.bundles.record import (
+    MAX_MANIFEST_BYTES,
+    BundleId,
     FileEntry,
     Identity,
+    Record,
+    Sha256,
+    ShortText,
+    Time,
     check_folder_name,
     checksum_name,
+    decode_record,
     describe_file,
     manifest_checksum,
     read_manifest,
+    sha256_bytes,
     verify_files,
 )
 from device.errors import RecordError, StoreError
@@ -296,3 +304,57 @@ def clear_unpublished(root: Path) -> None:
             # A locked one is being written; one that cannot be opened is never listed, and so harmless.
             with suppress(OSError), locked_directory(partial, wait=False):
                 remove_tree_quietly(partial)
+
+
+# Receipts of bundles.
+
+RECEIPT_SCHEMA: Final = "retrograph.receipt/1"
+
+RECEIPTS: Final = "receipts"
+
+_SUFFIX: Final = ".json"
+
+
+class Receipt(Record, frozen=True, tag_field="schema", tag=RECEIPT_SCHEMA):
+    """A workstation's statement that it stored a bundle, read it back and found every byte as promised.
+
+    Only a receipt allows a device to delete a scan, and only when it names the kind, the id and the very manifest that
+    the device holds.
+
+    manifest_sha256 : hash of the manifest, which holds the hash of every file
+    host : the workstation's name, for people
+    verified : by the workstation's clock; an annotation
+    """
+
+    kind: BundleKind
+    bundle_id: BundleId
+    manifest_sha256: Sha256
+    host: ShortText
+    verified: Time
+
+
+def receipt_name(bundle_id: str) -> str:
+    """Name of the file that holds a bundle's receipt."""
+    return bundle_id + _SUFFIX
+
+
+def bundle_of(receipt_file: str) -> str | None:
+    """Return the id of the bundle that a receipt's file name states; None for any other file.
+
+    The name alone proves nothing.
+    """
+    return receipt_file.removesuffix(_SUFFIX) if receipt_file.endswith(_SUFFIX) else None
+
+
+def is_receipted(root: Path, kind: BundleKind, bundle_id: str, manifest: bytes) -> bool:
+    """Return whether a receipt in a store names this kind, id and manifest; an unreadable receipt counts as absent.
+
+    The folder of receipts is writable for workstations: nothing in it is trusted.
+    """
+    try:
+        with Folder(root) as folder:
+            data = folder.read(f"{RECEIPTS}/{receipt_name(bundle_id)}", MAX_MANIFEST_BYTES)
+        receipt = decode_record(data, Receipt, receipt_name(bundle_id))
+    except (OSError, RecordError):
+        return False
+    return (receipt.kind, receipt.bundle_id, receipt.manifest_sha256) == (kind, bundle_id, sha256_bytes(manifest))

@@ -280,3 +280,17 @@ class MovieRecord(Record, frozen=True):
     def files(self) -> tuple[str, ...]:
         """Names of the frames' files."""
         return tuple(frame.file for frame in self.frames)
+
+
+@dataclass(frozen=True, slots=True)
+class Retake:
+    """The scan that a press is to replace, as it was when the operator asked for that."""
+
+    scan_id: str
+    counter: int
+    level: VerdictLevel
+    annotations: Annotations
+
+    def is_replaced_by(self, level: VerdictLevel) -> bool:
+        """Return whether a press with this verdict replaces it: not one that is worse, or to be taken again itself."""
+        return level != "retake" and not (level == "doubtful" and self.level == "good")

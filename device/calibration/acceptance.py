@@ -1,4 +1,4 @@
-"""Acceptance of a calibration: every number that decides, beside its limit. Device and workstation judge alike."""
+"""Limits that a calibration must keep on device and workstation alike, and its checks by them."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from device.balls.sphere import BallSamples
+from device.calibration.cross_validation import FoldedRidge, GroupedRidgeCV, balanced_errors, gains_of_balls
 from device.calibration.product_features import ProductFeatures
-from device.calibration.slope_gain import FoldedRidge, GroupedRidgeCV, balanced_errors, gains_of_balls
 from device.inverse_map.branches import Reading, RootIntensity, flat_at_rest, seen_at_rest
 from device.inverse_map.gentle_skin import GentleSkin
 from device.inverse_map.near_light import IlluminationMap, NearLightModel

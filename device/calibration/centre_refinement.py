@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import Ball, BallSamples
 from device.calibration.candidates import RegressorFit
-from device.calibration.slope_gain import angle_between_deg, robust_weight
+from device.calibration.cross_validation import angle_between_deg, robust_weight
 from device.surface import Float64Array, MaskArray, slope_from_stereographic
 
 REFINEMENT_ROUNDS: Final = 4

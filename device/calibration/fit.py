@@ -24,7 +24,7 @@ from device.calibration.candidates import (
     fit_regressor,
 )
 from device.calibration.centre_refinement import Learners, Refined, held_out_slopes, refine, results_of, true_slopes
-from device.calibration.slope_gain import FOLDS, HeldOutReadings, SlopeGain, angle_between_deg, slope_gains
+from device.calibration.cross_validation import FOLDS, HeldOutReadings, SlopeGain, angle_between_deg, slope_gains
 from device.errors import CalibrationError
 from device.inverse_map.branches import NearLightBranch, RawLightBranch, RootCurve, RootIntensity, light_at_rest
 from device.inverse_map.model import InverseMap, rest_nodes

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from device.acquisition.capture import profile_with_mounted_gel
 from device.acquisition.scanner import BYTES_PER_PIXEL
 from device.cli.console import Given, Options, open_store, print_line
 from device.command_line import Folder, print_json
 from device.errors import DeviceError, NoCalibration
 from device.instrument.history import ScanEntry, read_history
-from device.store.choices import known_gel, known_gels, make_gel, mount_gel, mounted_gel
+from device.store.choices import known_gel, known_gels, make_gel, mount_gel, mounted_gel, profile_with_mounted_gel
 from device.store.deletion import acknowledged_scans
 from device.store.registry import CalibrationRegistry
 from device.store.registry_file import SHORT
 from device.store.store import BundleStore
+from device.store.transfers import InboxItem
 from device.tui.drawing.text import local_time
 from hal.board_profile import load_board_profile
 
@@ -226,3 +226,27 @@ def _facts(scan: ScanEntry) -> dict[str, Any]:
         "sent": scan.offloaded,
         "mark": scan.mark,
     }
+
+
+def import_inbox(store: BundleStore) -> list[InboxItem]:
+    """Import the pushed calibrations and print the outcome of each."""
+    items = store.import_inbox()
+    for item in items:
+        print_line(f"{item.name}: {item.refusal or 'imported'}")
+    return items
+
+
+def import_pushed(*, activate: bool = False, options: Given) -> int:
+    """Import the calibrations that a workstation pushed.
+
+    Parameters
+    ----------
+    activate
+        Activate the last one imported.
+    """
+    store = open_store(options)
+    items = import_inbox(store)
+    imported = [item.name for item in items if item.refusal is None]
+    if activate and imported:
+        print_line(f"Calibration {store.activate(imported[-1]).calibration_id} is active.")
+    return 2 if len(imported) < len(items) else 0

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from device.acquisition.calibrate import calibrate
-from device.acquisition.capture import CaptureSettings, capture, with_active_gel
+from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.instrument_lock import open_exclusive
 from device.acquisition.scanner import Scanner
 from device.cli.console import Count, Given, GivenSimulated, Text, open_store, print_line, print_note, store_folder
@@ -25,6 +25,7 @@ from device.instrument.calibration_run import BALL_RADIUS_MM
 from device.instrument.demo_faults import DemoDisk, DemoFaults
 from device.instrument.history import read_quick_look
 from device.instrument.instrument import Instrument
+from device.store.choices import with_active_gel
 from device.store.registry_file import read_active
 from device.store.store import BundleStore, default_store
 from hal.board_profile import load_board_profile

@@ -11,14 +11,15 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from device.acquisition.auto_exposure import auto_exposure as find_exposure
+from device.acquisition.auto_exposure import calibration_settings, keep_balance
 from device.acquisition.calibrate import calibrate
-from device.acquisition.capture import calibration_settings, keep_balance, with_active_gel
 from device.acquisition.instrument_lock import exclusive_instrument, open_exclusive
 from device.acquisition.precise_capture import MOVIE_S, frames_that_fit, mode_fault
 from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord
 from device.bundles.scan import Annotations, CaptureMode
+from device.cli.calibrations import import_inbox
 from device.cli.console import (
     Given,
     LengthMm,
@@ -29,7 +30,7 @@ from device.cli.console import (
     print_note,
     store_folder,
 )
-from device.cli.service import SdNotify, ServiceReport, import_inbox
+from device.cli.service import SdNotify, ServiceReport
 from device.command_line import print_json
 from device.errors import CaptureModeRefused
 from device.imaging.frame_light import Brightness
@@ -47,6 +48,7 @@ from device.instrument.events import (
 )
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
+from device.store.choices import with_active_gel
 from device.store.registry_file import read_active
 from hal.board_profile import load_board_profile
 from hal.clock import SystemClock

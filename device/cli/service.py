@@ -1,7 +1,4 @@
-"""`retroscan identity`, `guard-battery`, `pair` and `calibrations import-inbox`: services and pairing.
-
-Messages to the service manager (systemd) are: ready, alive, status, stopping. Without one nothing is sent.
-"""
+"""`retroscan identity`, `guard-battery` and `pair`, and messages to the service manager (systemd)."""
 
 from __future__ import annotations
 
@@ -30,8 +27,6 @@ from device.pairing_service import (
     how_to_call,
     open_pairing_window,
 )
-from device.store.inbox import InboxItem
-from device.store.store import BundleStore
 from hal.board_profile import BoardProfile, load_board_profile
 from hal.clock import SystemClock
 from hal.errors import PowerError
@@ -255,14 +250,6 @@ def wait_until_low(power: Power, clock: Clock, print_error: Callable[[object], N
 POLL_S: Final = 0.2
 
 
-def import_inbox(store: BundleStore) -> list[InboxItem]:
-    """Import the pushed calibrations and print the outcome of each."""
-    items = store.import_inbox()
-    for item in items:
-        print_line(f"{item.name}: {item.refusal or 'imported'}")
-    return items
-
-
 def pair(
     *,
     port: Port = PAIRING_PORT,
@@ -322,19 +309,3 @@ def _confirm_codes(window: PairingWindow) -> None:
                 window.confirm(shown.code)
             else:
                 print_line("That is not the code: nothing is confirmed.")
-
-
-def import_pushed(*, activate: bool = False, options: Given) -> int:
-    """Import the calibrations that a workstation pushed.
-
-    Parameters
-    ----------
-    activate
-        Activate the last one imported.
-    """
-    store = open_store(options)
-    items = import_inbox(store)
-    imported = [item.name for item in items if item.refusal is None]
-    if activate and imported:
-        print_line(f"Calibration {store.activate(imported[-1]).calibration_id} is active.")
-    return 2 if len(imported) < len(items) else 0

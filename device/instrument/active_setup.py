@@ -1,4 +1,7 @@
-"""The active setup: the mounted gel, its calibration with its scanner, their health, and all three in the state."""
+"""The active setup: the mounted gel, its calibration with its scanner, their health, and all three in the state.
+
+A part's label is read before the camera while no gel is mounted.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from device.acquisition.capture import CaptureSettings, calibration_settings, capture, with_active_gel
+from device.acquisition.auto_exposure import calibration_settings
+from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.scan_health import ZeroCheck
 from device.acquisition.scanner import Scanner
 from device.bundles.calibration import CalibrationBundle
@@ -27,30 +31,13 @@ from device.io.system import give_back_memory
 from device.quality.press_faults import FLAT_RESIDUAL_UM
 from device.quality.verdict import drift_complaints
 from device.store.checks import read_checks, read_standard, write_standard
-from device.store.choices import BALANCE, known_gel, make_gel, mount_gel, mounted_gel
+from device.store.choices import BALANCE, known_gel, make_gel, mount_gel, mounted_gel, with_active_gel
 from device.store.registry import CalibrationRegistry
 from device.store.registry_file import ACTIVE_FILE
 from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.frame import RawFrame
 from hal.hardware import Hardware
-
-BINNING: Final = 2
-
-
-def read_code(frame: RawFrame) -> str | None:
-    """Return the text of the frame's code, also a mirrored one; None where none can be read."""
-    grey = bin_bayer(frame, BINNING).rgb.mean(axis=-1)
-    low, high = np.percentile(grey, (1.0, 99.0))
-    spread = max(float(high - low), 1e-6)
-    shown = (255.0 * np.clip((grey - low) / spread, 0.0, 1.0)).astype(np.uint8)
-    for picture in (shown, np.ascontiguousarray(shown[:, ::-1])):
-        text = cv2.QRCodeDetector().detectAndDecode(picture)[0]
-        text = text or cv2.barcode.BarcodeDetector().detectAndDecode(picture)[0]
-        if text and text.isprintable():
-            return str(text)
-    return None
-
 
 Selection = tuple[str, float, bytes]
 """Mounted gel, its slab in mm, and the content of the store's active-calibration file."""
@@ -344,3 +331,20 @@ def gel_state(root: Path, hardware: Hardware) -> GelState:
     except DeviceError:
         return GelState(default.id, default.slab_thickness_mm, 0)
     return GelState(gel.gel_id, gel.slab_thickness_mm, gel.presses)
+
+
+CODE_BINNING: Final = 2
+
+
+def read_code(frame: RawFrame) -> str | None:
+    """Return the text of the frame's code, also a mirrored one; None where none can be read."""
+    grey = bin_bayer(frame, CODE_BINNING).rgb.mean(axis=-1)
+    low, high = np.percentile(grey, (1.0, 99.0))
+    spread = max(float(high - low), 1e-6)
+    shown = (255.0 * np.clip((grey - low) / spread, 0.0, 1.0)).astype(np.uint8)
+    for picture in (shown, np.ascontiguousarray(shown[:, ::-1])):
+        text = cv2.QRCodeDetector().detectAndDecode(picture)[0]
+        text = text or cv2.barcode.BarcodeDetector().detectAndDecode(picture)[0]
+        if text and text.isprintable():
+            return str(text)
+    return None

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Final
 
-from device.acquisition.auto_exposure import ExposureSearch
+from device.acquisition.auto_exposure import ExposureSearch, calibration_settings, keep_balance
 from device.acquisition.calibrate import finish, last_calibration, take_reference
-from device.acquisition.capture import CaptureSettings, calibration_settings, capture, keep_balance
+from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.guided_calibration import GuidedCalibration
 from device.errors import DeviceError
 from device.instrument.button import ButtonWatch

@@ -14,9 +14,9 @@ from typing import Any, Final, ParamSpec, Self, TypeVar
 
 from msgspec import structs
 
-from device.acquisition.precise_capture import Retake, mode_fault
+from device.acquisition.precise_capture import mode_fault
 from device.bundles.check import CheckStandard
-from device.bundles.scan import Annotations
+from device.bundles.scan import Annotations, Retake
 from device.errors import DeviceError, RecordError
 from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup, gel_state
@@ -28,7 +28,7 @@ from device.instrument.spot_search import FIRST
 from device.instrument.state import CalibrationState, GelState, HealthState, InstrumentState, SpotState, StateStore
 from device.instrument.worker import InstrumentWorker
 from device.machine.interfaces import Machine
-from device.machine.real_machine import real_machine, twin_machine
+from device.machine.machines import real_machine, twin_machine
 from device.pairing_service import PairingSetup
 from device.store.choices import (
     SETTINGS,
@@ -42,9 +42,9 @@ from device.store.choices import (
     read_sticky,
     write_mark,
 )
-from device.store.inbox import StickExport, export_to_stick, find_stick
 from device.store.registry import CalibrationRegistry, RegisteredCalibration
 from device.store.store import BundleStore
+from device.store.transfers import StickExport, export_to_stick, find_stick
 from device.surface import HeightMap
 from hal.clock import VirtualClock
 from hal.errors import HalError

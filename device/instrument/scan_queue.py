@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeVar
 
 from device.acquisition.check_press import BallInDoubt
-from device.acquisition.precise_capture import Retake
 from device.acquisition.scanner import LIFT_PATIENCE_S, Assessment, RawCapture, Scanner, ScanOutcome
 from device.bundles.check import CheckStandard
-from device.bundles.scan import Annotations
+from device.bundles.scan import Annotations, Retake
 from device.errors import DeviceError, NoCalibration, StoreError
 from device.instrument.button import ButtonEvent, ButtonWatch
 from device.instrument.events import (

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from device.acquisition.auto_exposure import ExposureBalance
 from device.acquisition.capture import CaptureSettings
 from device.acquisition.guided_calibration import CalibrationProgress
-from device.acquisition.precise_capture import Retake
 from device.bundles.check import CheckRecord, CheckStandard
-from device.bundles.scan import Annotations, VerdictLevel, VerdictRecord
+from device.bundles.scan import Annotations, Retake, VerdictLevel, VerdictRecord
 from device.guidance.cover_task import CoverMap
 from device.guidance.guide import GuideReading
 from device.imaging.frame_light import Brightness, SkinLevels

@@ -1,4 +1,7 @@
-"""Faults of a press, and every threshold of press guide, verdict and health."""
+"""Faults of a press, and every threshold of press guide, verdict and health.
+
+Fractions are of the field or of full scale unless stated otherwise; intensity is 1 on untouched skin.
+"""
 
 from __future__ import annotations
 

@@ -24,9 +24,8 @@ import cv2
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame, NormalizedImage
-from device.imaging.frame_light import Levels
+from device.imaging.frame_light import Levels, LightShares
 from device.inverse_map.regressor import monomials
-from device.quality.light_shares import LightShares
 from device.quality.press_faults import DEFECT_CONTRAST, MAX_DEFECTS
 from device.surface import Float32Array, MaskArray
 

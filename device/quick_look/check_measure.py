@@ -10,7 +10,8 @@ import numpy as np
 
 from device.bundles.check import UNITS, CheckStandard, StandardKind
 from device.errors import DeviceError
-from device.quick_look.solver import MIN_CUTOFF_PX, RUN_UP, QuickLook, levelled, mean_line
+from device.quick_look.measures import MIN_CUTOFF_PX, RUN_UP, levelled, mean_line
+from device.quick_look.solver import QuickLook
 from device.surface import Float32Array, Float64Array, GradientField, HeightMap
 
 SMOOTH_PX: Final = 5

@@ -5,7 +5,7 @@ What is damaged counts as not there, and the usual choice holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Generic, Literal, TypeVar
 
@@ -17,7 +17,8 @@ from device.bundles.scan import Annotations, CaptureMode
 from device.errors import RecordError, StoreError
 from device.io.atomic import replace_file
 from device.io.system import explain_os_error
-from hal.board_profile import GelConfig
+from hal.board_profile import BoardProfile, GelConfig
+from hal.hardware import Hardware
 
 # A small record of the store as a file that is replaced in one step.
 
@@ -277,3 +278,21 @@ def make_gel(gel_id: str, slab_thickness_mm: float) -> GelRecord:
         raise RecordError(
             f"gel {gel_id!r}: use lower-case letters, digits and hyphens, and a thickness over 0 and up to 100 mm"
         ) from error
+
+
+def with_active_gel(hardware: Hardware, root: Path) -> Hardware:
+    """Return the same devices, with the mounted gel in the profile instead of the board's default gel.
+
+    Raises
+    ------
+    RecordError
+        The store's gel record is damaged.
+    """
+    return replace(hardware, profile=profile_with_mounted_gel(hardware.profile, root))
+
+
+def profile_with_mounted_gel(profile: BoardProfile, root: Path) -> BoardProfile:
+    """Return the board profile with the mounted gel. Errors as for `with_active_gel`."""
+    gel = mounted_gel(root, profile.gel)
+    mounted = GelConfig(id=gel.gel_id, slab_thickness_mm=gel.slab_thickness_mm)
+    return msgspec.structs.replace(profile, gel=mounted)

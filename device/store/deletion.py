@@ -13,8 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from device.bundles.bundle import is_bundle_id, list_bundles, partial_name
-from device.bundles.check import RECEIPTS, is_receipted, receipt_name
+from device.bundles.bundle import RECEIPTS, is_bundle_id, is_receipted, list_bundles, partial_name, receipt_name
 from device.bundles.record import read_manifest
 from device.bundles.scan import SCAN_MANIFEST, ScanBundle, read_scan
 from device.errors import RecordError, StoreError

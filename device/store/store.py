@@ -21,17 +21,18 @@ import platformdirs
 from device.bundles.bundle import (
     INBOX,
     MANIFESTS,
+    RECEIPTS,
     BundleKind,
     FileWriter,
     Listing,
     bundle_ids,
+    bundle_of,
     clear_unpublished,
     is_bundle_id,
     list_bundles,
     publish_bundle,
 )
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
-from device.bundles.check import RECEIPTS, bundle_of
 from device.bundles.record import FileEntry, Identity, encode_record
 from device.bundles.scan import ScanBundle, ScanRecord, decode_scan, read_scan
 from device.errors import DeviceError, RecordError, StoreError
@@ -55,8 +56,8 @@ from device.store.device_id import (
     read_device,
     start_device,
 )
-from device.store.inbox import InboxItem, copy_calibration, import_inbox
 from device.store.registry_file import read_active, write_active
+from device.store.transfers import InboxItem, copy_calibration, import_inbox
 from hal.errors import HalError
 from hal.interfaces import Clock
 

@@ -25,7 +25,7 @@ from host_sync.batch.worker_pool import Lost, outcomes_of
 from host_sync.errors import HostError
 from host_sync.filters.form import DetailBand
 from host_sync.kernels.cache import holds_kernels
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 from host_sync.library.library import Library
 from host_sync.results.files import DetailName
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from host_sync.calibration.calibrate import Method
-    from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.reconstruction.scans import LibraryReconstructor
 
 
 class ScanOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -225,7 +225,7 @@ class ScanWork:
         import cv2
 
         from host_sync.calibration_file.calibrator import Calibrator
-        from host_sync.reconstruction.from_library import LibraryReconstructor
+        from host_sync.reconstruction.scans import LibraryReconstructor
 
         cv2.setNumThreads(1)
 

@@ -29,7 +29,7 @@ from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
     from host_sync.measurement.recipe import Recipe
-    from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.reconstruction.scans import LibraryReconstructor
 
 MEASUREMENTS: Final = "measurements"
 """Folder of a library with one JSON file for each scan that was measured."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from typing import Final, Generic, TypeVar
 
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 
 ATTEMPTS: Final = 3
 """A task whose process died so many times is given up."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from device.imaging.flat_field import LinearFrame
     from host_sync.calibration_file.calibrator import Calibrator
     from host_sync.calibration_file.kept_calibration import KeptCalibration
-    from host_sync.certificate.certificate_pages import Certificate
+    from host_sync.certificate.certificate import Certificate
 
 
 def calibrate_command(
@@ -64,7 +64,7 @@ def calibrate_command(
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
     check_output(out)
     tell_of_compiling()
-    from host_sync.reconstruction.from_library import with_overview
+    from host_sync.reconstruction.scans import with_overview
     from host_sync.results.files import OVERVIEW_FILE
 
     with status_spinner() as tell:
@@ -94,7 +94,7 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
     """Measure the specimens and write the certificate."""
     described = load_frame_set(frame_set)
     tell_of_compiling()
-    from host_sync.certificate.certificate_pages import certificate_of_frame_set, verdict_words
+    from host_sync.certificate.certificate import certificate_of_frame_set, verdict_words
     from host_sync.report.writing import NO_BROWSER
 
     with status_spinner() as tell:
@@ -114,7 +114,7 @@ def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
 
 def _lines(certificate: Certificate) -> list[str]:
     """Return specimens and characteristics, one a line."""
-    from host_sync.certificate.certificate_pages import pages_of
+    from host_sync.certificate.certificate import pages_of
 
     specimens, characteristics, *_ = pages_of(certificate).tables
     return [" | ".join(row) for row in (*specimens.rows, *characteristics.rows)]

@@ -19,7 +19,7 @@ from host_sync.mosaic.presses import MOSAIC_FILE
 from host_sync.results.files import RECORD_FILE
 
 if TYPE_CHECKING:
-    from host_sync.mosaic.presses import MosaicRecord
+    from host_sync.mosaic.writing import MosaicRecord
     from host_sync.results.reader import ResultSurface
     from host_sync.same_spot.comparing import SameSpotRecord
 

@@ -14,12 +14,12 @@ from device.command_line import Folder, print_json
 from device.errors import DeviceError
 from device.io.atomic import check_output, write_output
 from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, OutputFile, print_error, print_line, status_spinner
+from host_sync.csv_table import BYTE_ORDER_MARK
 from host_sync.errors import HostError, MeasurementError, MissingResult
 from host_sync.frames.sequence import natural_order
 from host_sync.library.library import Library
 from host_sync.results.doubts import replacing
 from host_sync.results.files import RECORD_FILE, DetailName
-from host_sync.text import BYTE_ORDER_MARK
 
 if TYPE_CHECKING:
     from host_sync.gage import GageRow

@@ -162,7 +162,7 @@ def _reconstruct_frame_set(
     check_output(out / "result.json", makes_folders=True)
     tell("loading compiled code")
     tell_of_compiling()
-    from host_sync.reconstruction.from_library import reconstruct_frame_set
+    from host_sync.reconstruction.scans import reconstruct_frame_set
 
     calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     done, failures = reconstruct_frame_set(
@@ -214,7 +214,7 @@ def _reconstruct_scans(
     tell("loading compiled code")
     tell_of_compiling()
     from host_sync.batch.library_batch import ScanWork, reconstruct_all, reconstruct_on_cluster
-    from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.reconstruction.scans import LibraryReconstructor
 
     calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
     job = LibraryReconstructor(
@@ -278,7 +278,7 @@ def paper_figures(
     with status_spinner() as tell:
         tell("loading compiled code")
         tell_of_compiling()
-        from host_sync.evaluation.figures import frames_to_draw, write_figures
+        from host_sync.evaluation import frames_to_draw, write_figures
 
         calibrator = calibrator_for(calibration, tell, paper=True)
         frames, known = frames_to_draw(name, Library(library) if library is not None else None, calibrator)
@@ -306,7 +306,7 @@ def watch_library(library: Path | None, recipe: Path | None, workers: int | None
         tell("loading compiled code")
         tell_of_compiling()
         from host_sync.batch.library_watch import LibraryWatch, only_watch
-        from host_sync.reconstruction.from_library import LibraryReconstructor
+        from host_sync.reconstruction.scans import LibraryReconstructor
 
         job = LibraryReconstructor(held, tell=tell, calibrator=calibrator_for(None, tell))
         watch = LibraryWatch(held, job, chosen, workers, tell)

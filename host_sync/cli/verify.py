@@ -169,8 +169,8 @@ def reproduce_results(target: Library, names: Sequence[str] = (), job: Any = Non
 
     job : reconstructs; the library's own by default
     """
-    from host_sync.evaluation.reprocess import reprocess
-    from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.reconstruction.reprocess import reprocess
+    from host_sync.reconstruction.scans import LibraryReconstructor
 
     scans = [target.find(name) for name in names] or list(target.scans().bundles)
     job = job or LibraryReconstructor(target)

@@ -200,7 +200,7 @@ def _reconstruct(library: Library, tell: Callable[[str], None]) -> list[StoryRow
 
     from device.imaging.flat_field import demosaic
     from device.quick_look.solver import PICTURE_FILE as QUICK_LOOK
-    from host_sync.reconstruction.from_library import LibraryReconstructor
+    from host_sync.reconstruction.scans import LibraryReconstructor
     from host_sync.render.picture_file import StoryRow
     from host_sync.results.doubts import stated_doubts
 

@@ -27,6 +27,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from device.io.system import explain_os_error
+from host_sync.csv_table import table_text
 from host_sync.errors import ExportError
 from host_sync.export.source_surface import (
     ROWS,
@@ -37,7 +38,6 @@ from host_sync.export.source_surface import (
     one_line,
     row_blocks,
 )
-from host_sync.text import table_text
 
 
 def write_float_tiff(file: BinaryIO, surface: SourceSurface) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from device.balls.sphere import Ball
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
-from host_sync.frames.channel_counts import check_channels, count_values, full_scale_of
+from host_sync.frames.channels import check_channels, count_values, full_scale_of
 from host_sync.frames.frame_set_file import (
     Encoding,
     FileTable,

@@ -14,7 +14,7 @@ from device.imaging.printed_marks import MarkPattern
 from device.surface import Float32Array
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError
-from host_sync.frames.channel_counts import clip_level
+from host_sync.frames.channels import clip_level
 from host_sync.frames.frame_set import FrameSpec
 from host_sync.frames.frame_set_file import MAX_LIGHTS, Encoding
 from host_sync.frames.image_file import read_image

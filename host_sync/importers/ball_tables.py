@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from hal.validation import decode_json
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import FrameSetError
 from host_sync.frames.sequence import SUFFIXES, natural_order
 from host_sync.importers.draft import (
@@ -32,7 +33,6 @@ from host_sync.importers.draft import (
     largest_contact_px,
     left_out,
 )
-from host_sync.text import number_in, read_table
 
 CATALOGUE: Final = "catalog.csv"
 FOLDER, DIAMETER = "experiment_reldir", "diameter(mm)"

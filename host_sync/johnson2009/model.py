@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.slope_gain import angle_between_deg
+from device.calibration.cross_validation import angle_between_deg
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float64Array, GradientField, HeightMap
 from host_sync.integration.integrate import IntegrationReport, integrate

@@ -10,7 +10,7 @@ import numpy as np
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
-from host_sync.measurement.circle import fit_sphere
+from host_sync.measurement.circle_and_sphere import fit_sphere
 from host_sync.measurement.geometry import (
     Region,
     SkinPlaces,

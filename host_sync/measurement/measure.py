@@ -13,8 +13,7 @@ from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
-from host_sync.measurement.areal_measurand import ArealMeasurand, ProfileMeasurand
-from host_sync.measurement.circle import CircleMeasurand
+from host_sync.measurement.circle_and_sphere import CircleMeasurand
 from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.geometry import SkinPlaces, painted, reaches_beyond, share_at, without
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
@@ -29,6 +28,7 @@ from host_sync.measurement.measurands import (
     VolumeMeasurand,
 )
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
+from host_sync.measurement.parameter_measurands import ArealMeasurand, ProfileMeasurand
 from host_sync.measurement.quantity import (
     NO_PITCH_SIGMA,
     NOISE_SHARE,

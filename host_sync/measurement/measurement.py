@@ -12,12 +12,12 @@ import msgspec
 import numpy as np
 
 from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
+from host_sync.csv_table import table_text
 from host_sync.iso25178.power_spectrum import PowerSpectrum
 from host_sync.measurement.quantity import Quantity
 from host_sync.measurement.recipe import Recipe
 from host_sync.profile.profile_line import Line, Profile
 from host_sync.results.record import Doubt, ResultRecord
-from host_sync.text import table_text
 
 COPY: Final = "copy"
 """Warning that a number is that of a frame which was measured before."""

@@ -15,11 +15,11 @@ import numpy as np
 
 from device.align import PlaceSearch, Pose, relief_slopes, turning
 from device.surface import Float32Array, Float64Array
+from host_sync.csv_table import number_in, read_table
 from host_sync.errors import MosaicError
 from host_sync.mosaic.presses import Press, Small
 from host_sync.registration.fit import Fit, Pair, coherence, fit, moved, reduced
 from host_sync.registration.register import MIN_AGREEMENT, MIN_COHERENCE
-from host_sync.text import number_in, read_table
 
 COARSE_PX: Final = 128
 TURNS_DEG: Final = tuple(range(-12, 13, 2))

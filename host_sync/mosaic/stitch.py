@@ -16,8 +16,8 @@ from host_sync.errors import MosaicError
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.blending import Meeting, blend, canvas_of, levelled, meeting
 from host_sync.mosaic.links import COARSE_PX, RIVALLED, Layout, candidates, verified
-from host_sync.mosaic.presses import MosaicRecord, Press, Small, check_together, read_small, small_of
-from host_sync.mosaic.writing import Plan, mosaic_record, write_mosaic
+from host_sync.mosaic.presses import Press, Small, check_together, read_small, small_of
+from host_sync.mosaic.writing import MosaicRecord, Plan, mosaic_record, write_mosaic
 from host_sync.registration.fit import reduced
 from host_sync.results.files import RECORD_FILE
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from device.bundles.bundle import MANIFESTS, BundleKind
-from device.bundles.check import RECEIPTS, Receipt, receipt_name
+from device.bundles.bundle import MANIFESTS, RECEIPTS, BundleKind, Receipt, receipt_name
 from device.bundles.record import encode_record, read_manifest, sha256_bytes, verify_files
 from device.errors import DeviceError
 from host_sync.errors import BusyBundle, HostError, LibraryError, SourceError, SourceLost

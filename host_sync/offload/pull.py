@@ -13,9 +13,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
-from device.bundles.bundle import INBOX, MANIFESTS, BundleKind, is_utf_8, partial_name
+from device.bundles.bundle import (
+    INBOX,
+    MANIFESTS,
+    RECEIPTS,
+    BundleKind,
+    bundle_of,
+    is_utf_8,
+    partial_name,
+    receipt_name,
+)
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle
-from device.bundles.check import RECEIPTS, bundle_of, receipt_name
 from device.bundles.record import checksum_name, read_small
 from device.errors import DeviceError, RecordError
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost

@@ -15,8 +15,7 @@ from typing import IO, Final
 
 import asyncssh
 
-from device.bundles.bundle import BundleKind, BundleNames, bundle_names
-from device.bundles.check import RECEIPTS
+from device.bundles.bundle import RECEIPTS, BundleKind, BundleNames, bundle_names
 from device.io.folder import MAX_ENTRIES, EntryKind, FolderEntry, open_regular
 from device.io.system import explain_os_error
 from host_sync.errors import HostError, SourceError

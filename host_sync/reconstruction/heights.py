@@ -17,7 +17,7 @@ from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
-from host_sync.frame_checks.layout_check import check_datum
+from host_sync.frame_checks.colour_check import check_datum
 from host_sync.integration.integrate import IntegrationReport, integrate
 from host_sync.integration.zero_level import Datum, find_datum, no_datum
 from host_sync.johnson2009.model import integrate_forward_difference

@@ -14,8 +14,8 @@ from host_sync.denoising.slope_noise import without_blur
 from host_sync.gradients.confidence import extrapolated
 from host_sync.integration.integrate import IntegrationReport, surface_slopes
 from host_sync.integration.zero_level import NO_ZERO, Datum
-from host_sync.kernels.kept_memory import kept_memory
 from host_sync.kernels.parallel_rows import BackgroundCall
+from host_sync.kernels.process_settings import kept_memory
 from host_sync.reconstruction.heights import (
     Heights,
     RestingSlopes,

@@ -20,7 +20,7 @@ from device.imaging.frame_light import without_ambient
 from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
-from host_sync.frame_checks.layout_check import check_frame
+from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frame_checks.level_check import check_light
 from host_sync.gradients.confidence import even_confidence, strange_blocks
 from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity

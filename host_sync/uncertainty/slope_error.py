@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, sphere_slopes
+from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import MIN_PIXELS as MIN_BAND_PIXELS
 from device.calibration.fit import InverseFit, SlopeBand
-from device.calibration.slope_gain import angle_between_deg
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.uncertainty.calibration_uncertainty import believed_gains, gains_of_ball, with_gains

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from device.surface import Float32Array, MaskArray
 from hal.frame import RawFrame
+from host_sync.csv_table import table_text
 from host_sync.frames.sequence import BadFrame, StoredFrame
-from host_sync.text import table_text
 
 if TYPE_CHECKING:
     from host_sync.video.stream import SolvedFrame

@@ -20,7 +20,7 @@ from hal.frame import RawFrame
 from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
-from host_sync.frame_checks.layout_check import SAMPLES_ALONG, check_datum, check_frame
+from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
 from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values

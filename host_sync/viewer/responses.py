@@ -16,12 +16,12 @@ from device.bundles.scan import read_scan
 from device.errors import DeviceError
 from device.imaging.flat_field import demosaic
 from device.surface import Float32Array, Float64Array
+from host_sync.csv_table import table_text
 from host_sync.errors import HostError, ViewError
 from host_sync.frames.frame_set import ScanSpec
 from host_sync.frames.linear_light import read_frame
 from host_sync.profile.profile_line import Line, Profile, bilinear
 from host_sync.render.shading import HIGHLIGHT, tint_table
-from host_sync.text import table_text
 from host_sync.viewer.cache import Level
 from host_sync.viewer.entry import Entry
 

@@ -68,7 +68,7 @@ class Commands:
 def serve() -> None:
     """Answer line by line."""
     import host_sync.offload.mirror
-    import host_sync.reconstruction.from_library
+    import host_sync.reconstruction.scans
     import host_sync.viewer.app  # noqa: F401
     from host_sync.cli.main import main
 

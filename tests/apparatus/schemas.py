@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import msgspec
 
+from device.bundles.bundle import Receipt
 from device.bundles.calibration import CalibrationRecord
-from device.bundles.check import CheckRecord, CheckStandard, Receipt
+from device.bundles.check import CheckRecord, CheckStandard
 from device.bundles.raw_frame import RawHeader
 from device.bundles.record import Record
 from device.bundles.scan import ScanRecord

@@ -26,7 +26,7 @@ from host_sync.integration.integrate import compile_integration
 from host_sync.library.library import Library
 from host_sync.offload.pull import pull
 from host_sync.offload.source import DirectorySource
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 from tests.demo.pictures import Chapter, summary_row, write_pictures
 from tests.demo.programme import ACTS, BALL_RADIUS_MM, VERDICT, Act, Shown
 from tests.demo.truth_judge import Judgement, judge

@@ -16,8 +16,8 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["device", "host_sync", "tifffile", "numpy.lib"]):
+    from device.bundles.bundle import Receipt
     from device.bundles.calibration import decode_calibration
-    from device.bundles.check import Receipt
     from device.bundles.raw_frame import read_raw
     from device.bundles.record import decode_record
     from device.bundles.scan import decode_scan

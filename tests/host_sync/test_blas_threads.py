@@ -8,7 +8,7 @@ from threading import Event
 import scipy.linalg  # noqa: F401 - whose library is counted too
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from host_sync.blas_threads import one_blas_thread
+from host_sync.kernels.process_settings import one_blas_thread
 
 
 def threads() -> set[int]:

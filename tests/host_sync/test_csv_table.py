@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from host_sync.csv_table import number_in, read_table, table_text
 from host_sync.errors import MeasurementError
 from host_sync.gage import numbers, read_rows
-from host_sync.text import number_in, read_table, table_text
 
 ROWS = [("part", "operator", "value"), ("A", "Ada", 1.5), ("B", "Ö, Bo", -0.25)]
 

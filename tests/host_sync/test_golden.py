@@ -11,7 +11,7 @@ import pytest
 import rawpy
 import tifffile
 
-from device.bundles.check import is_receipted
+from device.bundles.bundle import is_receipted
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.model import read_model
 from device.quick_look.solver import QuickLookModel, quick_look

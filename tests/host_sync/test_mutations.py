@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from device.bundles.bundle import Receipt
 from device.bundles.calibration import CalibrationBundle, read_calibration
-from device.bundles.check import Receipt
 from device.bundles.raw_frame import read_raw
 from device.bundles.record import checksum_name, decode_record, manifest_checksum
 from device.bundles.scan import ScanBundle, read_scan

@@ -11,7 +11,7 @@ import numpy as np
 
 from device.bundles.scan import Annotations, VerdictLevel
 from device.calibration.acceptance import DIRECTIONS, PASSED_STEEPEST_DEG, SIDES, Check, Coverage
-from device.quick_look.solver import (
+from device.quick_look.measures import (
     Point,
     Roughness,
     areal_roughness,

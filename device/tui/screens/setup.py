@@ -16,8 +16,8 @@ from device.instrument.instrument import Instrument
 from device.instrument.pairing_run import NetworkInfo
 from device.instrument.state import InstrumentState
 from device.store.choices import make_gel
-from device.store.inbox import StickExport
 from device.store.registry import RegisteredCalibration
+from device.store.transfers import StickExport
 from device.tui.drawing.cells import ColourDepth
 from device.tui.drawing.text import local_time
 from device.tui.screens.base import InstrumentScreen

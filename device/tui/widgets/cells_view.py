@@ -19,7 +19,7 @@ from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
-from device.quick_look.solver import Point, levelled
+from device.quick_look.measures import Point, levelled
 from device.surface import Float32Array, HeightMap
 from device.tui.drawing.cells import OWN, CellGrid, ColourDepth, fitted_shape
 from device.tui.drawing.height_picture import (

@@ -26,7 +26,7 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import Block, Sinusoid, Sphere, Step
-from host_sync.certificate.certificate_pages import Certificate, certificate_of_frame_set
+from host_sync.certificate.certificate import Certificate, certificate_of_frame_set
 from host_sync.frames.frame_set import load_frame_set
 from tests.benchmarks.accuracy.twin_instrument import BALL_RADIUS_MM, reference_profile
 

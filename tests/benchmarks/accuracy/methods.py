@@ -18,7 +18,7 @@ from rich.console import Console
 
 from host_sync.calibration.calibrate import METHODS, Method
 from host_sync.calibration_file.calibrator import Calibrator, calibrate_frame_set
-from host_sync.evaluation.figures import frames_to_draw, write_figures
+from host_sync.evaluation import frames_to_draw, write_figures
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import read_frame
 from host_sync.reconstruction.pipeline import reconstruct

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from host_sync.frames.frame_set import load_frame_set
-from host_sync.reconstruction.from_library import reconstruct_frame_set
+from host_sync.reconstruction.scans import reconstruct_frame_set
 
 ROOT: Final = Path(__file__).parents[3]
 SETS: Final = ("oem-bga", "taxim-small", "finger")

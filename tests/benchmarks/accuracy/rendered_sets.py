@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from host_sync.frames.frame_set import load_frame_set
-from host_sync.reconstruction.from_library import reconstruct_frame_set
+from host_sync.reconstruction.scans import reconstruct_frame_set
 from tests.benchmarks.accuracy.marks import TILTS
 from tests.benchmarks.accuracy.real_sets import data_folder
 

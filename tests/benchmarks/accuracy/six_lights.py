@@ -27,7 +27,7 @@ from device.balls.sphere import Ball
 from host_sync.frames.frame_set import FrameSet, FrameSpec, PressSpec, load_frame_set
 from host_sync.importers.draft import Said
 from host_sync.importers.gelsight_scan import import_gelsight
-from host_sync.reconstruction.from_library import reconstruct_frame_set
+from host_sync.reconstruction.scans import reconstruct_frame_set
 from tests.benchmarks.accuracy.real_sets import judge_program
 
 PITCH_UM: Final = 3.40381

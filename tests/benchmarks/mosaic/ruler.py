@@ -26,8 +26,9 @@ from device.align import Pose, turning
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.mosaic.adjustment import adjusted
 from host_sync.mosaic.links import Layout
-from host_sync.mosaic.presses import MosaicRecord, Press
+from host_sync.mosaic.presses import Press
 from host_sync.mosaic.stitch import planned, stitch
+from host_sync.mosaic.writing import MosaicRecord
 from host_sync.registration.fit import between_pixels
 from host_sync.results.reader import read_result
 

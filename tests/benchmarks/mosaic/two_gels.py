@@ -18,8 +18,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from host_sync.mosaic.presses import Fields, LinkRecord, MosaicRecord, Press
+from host_sync.mosaic.presses import Fields, Press
 from host_sync.mosaic.stitch import stitch
+from host_sync.mosaic.writing import LinkRecord, MosaicRecord
 from host_sync.reconstruction.pipeline import Reconstruction
 from host_sync.results.record import ResultRecord
 from tests.benchmarks.mosaic.gel_change import PRESSED_MM, Gel

@@ -21,7 +21,7 @@ from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import demosaic
 from host_sync.calibration.calibrate import Calibration
 from host_sync.kernels.jit import get_num_threads, set_num_threads
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 from host_sync.reconstruction import pipeline as stages
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result

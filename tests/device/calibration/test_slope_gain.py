@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from device.calibration.slope_gain import HeldOutReadings, gains_of_balls, slope_gains
+from device.calibration.cross_validation import HeldOutReadings, gains_of_balls, slope_gains
 
 
 def readings(gain: float, *, noise: float = 0.02, centre: float = 0.0, balls: int = 12) -> HeldOutReadings:

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from device.acquisition.auto_exposure import AIMED_LEVEL
-from device.acquisition.capture import CaptureSettings, calibration_settings, with_active_gel
+from device.acquisition.auto_exposure import AIMED_LEVEL, calibration_settings
+from device.acquisition.capture import CaptureSettings
 from device.bundles.scan import VerdictRecord
 from device.instrument.calibration_run import KEPT, STOPPED
 from device.instrument.events import Failed, Info, ScanFinished
 from device.instrument.instrument import Instrument
 from device.instrument.live import MAX_READING_S
 from device.instrument.worker import NOT_NOW
-from device.store.choices import BALANCE
+from device.store.choices import BALANCE, with_active_gel
 from device.store.store import BundleStore
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene

@@ -8,8 +8,8 @@ from device.bundles.scan import read_scan
 from device.errors import StoreError
 from device.instrument.instrument import Instrument
 from device.store.deletion import acknowledged_scans
-from device.store.inbox import find_stick
 from device.store.store import BundleStore
+from device.store.transfers import find_stick
 from hal.hardware import Hardware
 from hal.simulator.bench import SimulatedScene
 from tests.device.instrument.test_scan_keeping import scanned

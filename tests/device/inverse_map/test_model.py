@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, BallSamples, gather_samples, sphere_slopes
+from device.calibration.cross_validation import angle_between_deg
 from device.calibration.fit import InverseFit, fit_inverse_map
-from device.calibration.slope_gain import angle_between_deg
 from device.errors import CalibrationError, CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap

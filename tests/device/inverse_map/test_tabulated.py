@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from device.bundles.calibration import CalibrationBundle
-from device.calibration.slope_gain import angle_between_deg
+from device.calibration.cross_validation import angle_between_deg
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap, read_model
 from device.inverse_map.tabulated import TabulatedInverseMap, spline_weights

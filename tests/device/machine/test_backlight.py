@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from device.errors import MachineError
-from device.machine.real_machine import MIN_LEVEL, SysfsBacklight
+from device.machine.machines import MIN_LEVEL, SysfsBacklight
 
 
 @pytest.fixture

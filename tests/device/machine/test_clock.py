@@ -8,7 +8,7 @@ import pytest
 
 from device.errors import MachineError
 from device.machine.interfaces import ClockStatus
-from device.machine.real_machine import TimedateClock
+from device.machine.machines import TimedateClock
 
 Fake = Callable[[str, str], Path]
 Calls = Callable[[], list[str]]

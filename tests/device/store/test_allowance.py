@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from device.bundles.check import Receipt, receipt_name
+from device.bundles.bundle import Receipt, receipt_name
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle
 from device.store import store as store_module

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from device.bundles.check import Receipt
+from device.bundles.bundle import Receipt
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle
 from device.errors import RecordError

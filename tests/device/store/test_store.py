@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from device.bundles.bundle import Receipt
 from device.bundles.calibration import CalibrationBundle
-from device.bundles.check import Receipt
 from device.bundles.record import encode_record, sha256_bytes
 from device.bundles.scan import ScanBundle, ScanRecord
 from device.errors import FrameNotConfirmed, NoCalibration, RecordError, StoreError

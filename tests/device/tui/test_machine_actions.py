@@ -9,7 +9,7 @@ from textual.widgets import Input
 
 from device.errors import MachineError
 from device.machine.interfaces import ClockStatus, Machine
-from device.machine.real_machine import TWIN_KEY, SysfsBacklight, TwinBacklight, TwinClock, TwinWifi
+from device.machine.machines import TWIN_KEY, SysfsBacklight, TwinBacklight, TwinClock, TwinWifi
 from device.tui.drawing.text import local_time
 from tests.device.tui.conftest import Stage
 from tests.device.tui.test_setup_screen import _choose, _panel

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from device.bundles.check import RECEIPTS, Receipt, receipt_name
+from device.bundles.bundle import RECEIPTS, Receipt, receipt_name
 from device.bundles.record import encode_record, sha256_bytes
 from device.io.atomic import replace_file
 

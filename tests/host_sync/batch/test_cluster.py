@@ -21,7 +21,7 @@ from host_sync.batch.worker_pool import ONE_THREAD
 from host_sync.cli.main import main
 from host_sync.errors import ClusterError
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -22,7 +22,7 @@ from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.cli.main import main
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main
 from host_sync.library.library import Library
 from host_sync.measurement.recipe import Recipe
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import tifffile
 
 from device.surface import HeightMap
 from host_sync.calibration.calibrate import Calibration
-from host_sync.certificate.certificate_pages import (
+from host_sync.certificate.certificate import (
     RECORD_FILE,
     Certificate,
     HashedFile,

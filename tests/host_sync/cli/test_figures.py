@@ -13,7 +13,7 @@ from host_sync.calibration.frames import CalibrationFrames
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.cli.main import main
-from host_sync.evaluation.figures import BallError, ball_error_figure, frames_to_draw, held_out_ball_errors
+from host_sync.evaluation import BallError, ball_error_figure, frames_to_draw, held_out_ball_errors
 from host_sync.library.library import Library
 from host_sync.offload.pull import pull
 from host_sync.offload.source import DirectorySource

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from device.bundles.check import is_receipted
+from device.bundles.bundle import is_receipted
 from device.bundles.scan import ScanBundle
 from device.store.store import BundleStore
 from host_sync.cli.main import main

@@ -33,9 +33,9 @@ from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.cli.main import main, run
 from host_sync.cli.reconstruct import print_outcomes
 from host_sync.cli.verify import reproduce_results
-from host_sync.evaluation.reprocess import compare
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.reprocess import compare
+from host_sync.reconstruction.scans import LibraryReconstructor
 
 RESULT_FILES = {
     "height_um.tif", "height_raw_um.tif",

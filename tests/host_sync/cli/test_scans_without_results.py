@@ -17,7 +17,8 @@ from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.cli.main import main
 from host_sync.library.library import Library
-from host_sync.mosaic.presses import MOSAIC_FILE, MosaicRecord
+from host_sync.mosaic.presses import MOSAIC_FILE
+from host_sync.mosaic.writing import MosaicRecord
 from host_sync.results.files import HEIGHT_FILE, RECORD_FILE
 from host_sync.results.record import encode_record
 

@@ -7,7 +7,7 @@ from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
-from host_sync.frame_checks.layout_check import check_datum, check_frame
+from host_sync.frame_checks.colour_check import check_datum, check_frame
 
 SHAPE = (240, 320)
 

@@ -13,7 +13,7 @@ from device.errors import FrameError
 from host_sync import api
 from host_sync.calibration.consistency import check_reference
 from host_sync.errors import FrameSetError
-from host_sync.frames.channel_counts import count_values, full_scale_of
+from host_sync.frames.channels import count_values, full_scale_of
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.linear_light import frame_of_values, read_frame
 

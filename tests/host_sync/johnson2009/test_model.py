@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from device.balls.sphere import Ball, BallSamples, gather_samples
-from device.calibration.slope_gain import angle_between_deg
+from device.calibration.cross_validation import angle_between_deg
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from host_sync.calibration_report.paper_figures import ambiguity_figure, most_ambiguous, reflectance_figure

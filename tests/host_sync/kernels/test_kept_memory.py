@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from host_sync.kernels import kept_memory as module
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 
 GLIBC = sys.platform == "linux" and platform.libc_ver()[0] == "glibc"
 MEGABYTES = 200
@@ -43,7 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 
 
 def resident_mb():

@@ -5,7 +5,7 @@ import pytest
 
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import PolynomialForm
-from host_sync.measurement.circle import SphereForm, fit_sphere
+from host_sync.measurement.circle_and_sphere import SphereForm, fit_sphere
 from host_sync.measurement.geometry import SkinPlaces
 
 SHAPE = (180, 240)

@@ -5,20 +5,13 @@ import re
 import numpy as np
 import pytest
 
-from device.quick_look.solver import (
-    areal_roughness,
-    difference,
-    levelled,
-    line_between,
-    line_roughness,
-    mean_line,
-)
+from device.quick_look.measures import areal_roughness, difference, levelled, line_between, line_roughness, mean_line
 from device.surface import HeightMap
 from device.tui.drawing.text import measure_text
 from host_sync.filters.form import PolynomialForm
 from host_sync.filters.gaussian_regression import profile_mean
 from host_sync.iso25178.areal_parameters import height_parameters
-from host_sync.measurement.areal_measurand import ProfileMeasurand
+from host_sync.measurement.parameter_measurands import ProfileMeasurand
 from host_sync.measurement.recipe import ProfileTable
 
 PITCH_UM = 24.0

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from host_sync.cli.main import main
 from host_sync.errors import MeasurementError
-from host_sync.measurement.circle import find_circle
+from host_sync.measurement.circle_and_sphere import find_circle
 from host_sync.measurement.geometry import SkinPlaces, painted
 from host_sync.measurement.height_samples import StatedScale
 from host_sync.measurement.measure import measure_result

@@ -15,7 +15,8 @@ from mosaic_presses import grid_places, press_of_map, pressed, rough_target, wri
 from host_sync.cli.main import main
 from host_sync.errors import MosaicError
 from host_sync.mosaic.blending import disk_array
-from host_sync.mosaic.presses import MOSAIC_FILE, MosaicRecord, presses_of
+from host_sync.mosaic.presses import MOSAIC_FILE, presses_of
+from host_sync.mosaic.writing import MosaicRecord
 from host_sync.results.files import HEIGHT_SIGMA_FILE, RELIEF_FILE
 from host_sync.results.record import read_record
 

@@ -17,8 +17,9 @@ from host_sync.errors import MosaicError
 from host_sync.measurement.measure import measure_result
 from host_sync.measurement.recipe import Recipe
 from host_sync.mosaic.links import Layout
-from host_sync.mosaic.presses import MosaicRecord, Press
+from host_sync.mosaic.presses import Press
 from host_sync.mosaic.stitch import planned, stitch
+from host_sync.mosaic.writing import MosaicRecord
 from host_sync.results.reader import read_result
 
 SHAPE = (136, 182)

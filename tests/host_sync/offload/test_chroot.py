@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from device.bundles.check import RECEIPTS
+from device.bundles.bundle import RECEIPTS
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from host_sync.errors import SourceError

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from device.bundles.check import bundle_of
+from device.bundles.bundle import bundle_of
 from device.bundles.scan import ScanBundle
 from device.errors import DeviceError
 from device.io.atomic import atomic_directory

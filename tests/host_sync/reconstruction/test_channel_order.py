@@ -17,7 +17,7 @@ from hal.frame import BayerOrder, RawFrame
 from hal.simulator.bench import SimulatedScene, build
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 
 
 @pytest.mark.slow

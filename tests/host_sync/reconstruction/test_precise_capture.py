@@ -17,8 +17,8 @@ from hal.simulator.scene import Press
 from hal.simulator.surfaces import Sphere
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import SINGLE_LIGHTS, LibraryReconstructor
 from host_sync.reconstruction.pipeline import Reconstruction
+from host_sync.reconstruction.scans import SINGLE_LIGHTS, LibraryReconstructor
 
 AMBIENT = 0.04
 

@@ -15,9 +15,19 @@ from datetime import datetime
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from device.bundles.bundle import INBOX, MANIFESTS, BundleKind, is_bundle_id, list_bundles, partial_name, publish_bundle
+from device.bundles.bundle import (
+    INBOX,
+    MANIFESTS,
+    RECEIPTS,
+    BundleKind,
+    Receipt,
+    is_bundle_id,
+    list_bundles,
+    partial_name,
+    publish_bundle,
+    receipt_name,
+)
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle, read_calibration
-from device.bundles.check import RECEIPTS, Receipt, receipt_name
 from device.bundles.record import CHUNK_BYTES, FileEntry, encode_record, read_manifest, sha256_bytes
 from device.bundles.scan import ScanBundle, read_scan
 from device.errors import DeviceError, RecordError, StoreError

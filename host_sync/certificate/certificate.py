@@ -34,9 +34,9 @@ from host_sync.frames.frame_set import FrameSet, FrameSpec
 from host_sync.frames.frame_set_file import read_frame_set_file
 from host_sync.frames.linear_light import read_frame
 from host_sync.measurement.quantity import Quantity, decimals
-from host_sync.reconstruction.from_library import CALIBRATION_FOLDER
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
+from host_sync.reconstruction.scans import CALIBRATION_FOLDER
 from host_sync.registration.difference import are_copies
 from host_sync.report.writing import Picture, Report, Table, find_browser, write_report
 from host_sync.results.reader import ResultSurface, read_result

@@ -14,7 +14,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from device.quick_look.solver import MIN_CUTOFF_PX, ROUNDING
+from device.quick_look.measures import MIN_CUTOFF_PX, ROUNDING
 from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.filters.form import FormRemoval, PolynomialForm
@@ -35,7 +35,7 @@ from host_sync.iso25178.areal_parameters import (
     hybrid_parameters,
     texture_direction_deg,
 )
-from host_sync.measurement.circle import SphereForm
+from host_sync.measurement.circle_and_sphere import SphereForm
 from host_sync.measurement.geometry import Region, SkinPlaces, field_places, line_places, region_places
 from host_sync.measurement.recipe import ProfileTable, Recipe
 from host_sync.profile.profile_line import Line, Profile, profile_along, profile_parameters

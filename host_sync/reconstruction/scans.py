@@ -27,7 +27,7 @@ from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
 from host_sync.frames.linear_light import read_frame
-from host_sync.kernels.kept_memory import kept_memory
+from host_sync.kernels.process_settings import kept_memory
 from host_sync.library.library import Library
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result

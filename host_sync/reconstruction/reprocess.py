@@ -18,7 +18,7 @@ from device.surface import Float32Array
 from host_sync.calibration.calibrate import Method
 from host_sync.errors import ResultError
 from host_sync.library.library import Library
-from host_sync.reconstruction.from_library import LibraryReconstructor
+from host_sync.reconstruction.scans import LibraryReconstructor
 from host_sync.results.files import RECORD_FILE
 
 _PROVENANCE_KEYS: Final = frozenset({"written_utc", "program"})

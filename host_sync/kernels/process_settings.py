@@ -1,4 +1,6 @@
-"""Freed memory stays with the process while large fields are worked on.
+"""Settings of the process while it computes: one thread for matrices, and freed memory that stays.
+
+Matrices get one thread in a program that did not ask for several before numpy was loaded.
 
 The C library returns every large array to the system when it is freed, and the next one costs as much time as a pass
 over it, for the system clears each page. A 12-megapixel scan frees a hundred fields. Only the GNU C library can be set
@@ -13,6 +15,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, Final
+
+_limiting = threading.Lock()
+"""Held by the call that limits: only the thread that set a limit can lift it."""
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Context in which BLAS computes on the calling thread; afterwards it has its threads back.
+
+    Of calls that overlap on several threads the first limits, until it ends.
+    """
+    import scipy.linalg  # noqa: F401 - its library must be there before it can be limited
+    from threadpoolctl import threadpool_limits
+
+    if not _limiting.acquire(blocking=False):
+        yield
+        return
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        _limiting.release()
+
 
 _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3

@@ -1,1 +1,0 @@
-"""Held-out error, figures of the paper, reprocessing."""
