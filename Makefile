@@ -51,14 +51,15 @@ UNLIMITED := -o faulthandler_timeout=0
 
 TESTS = "$(VENV)/bin/python" -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder --durations=25
 
-# Made by a run of all tests that passed; `.venv` is new after a change of the lock or of Python.
+# The state of the files in which all tests passed or were skipped; `.venv` is new after a change of the lock or of Python.
 PASSED := $(VENV)/instrument-passed
 
 test: set-up ## the gate: lint, types, contracts, tests of every promise; the handheld's if what they reach changed (ALL=1: all)
 	@$(if $(ALL),rm -f "$(PASSED)")
-	left_out=$$("$(VENV)/bin/python" -m tests.instrument_passed "$(PASSED)")
+	state=$$("$(VENV)/bin/python" -m tests.instrument_passed state)
+	left_out=$$("$(VENV)/bin/python" -m tests.instrument_passed options "$(PASSED)" "$$state")
 	$(TESTS) $$left_out
-	"$(VENV)/bin/python" -m tests.instrument_passed "$(PASSED)" passed
+	"$(VENV)/bin/python" -m tests.instrument_passed passed "$(PASSED)" "$$state"
 
 test-all: set-up ## the gate, and every long test (see tests/tiers.toml; hours)
 	@$(TESTS) $(UNLIMITED) -m "not board and not system"
@@ -107,8 +108,7 @@ image: release ## a card's image in dist/image/BOARD.img (BOARD=...; see docs/im
 	[ -z "$(UPDATE)" ] || bash .ci/seal "dist/image/$(BOARD).update" $(if $(KEY),"$(abspath $(KEY))")
 
 test-deps: ## install what every test needs on Debian: a mocked I2C bus, a browser, sshd, disks that lose power, dtc, openscad (needs root)
-	@rm -f "$(PASSED)"
-	bash .ci/test-deps all
+	@bash .ci/test-deps all
 
 bench: set-up ## speed next to peer programs; a table and bench.json (QUICK=1: seconds, shows only that everything runs)
 	@bash .ci/set-up-bench "$(VENV)"

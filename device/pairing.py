@@ -8,6 +8,7 @@ must fix what each side hashes before the last number is known, so each code tha
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import hmac
 import secrets
@@ -235,3 +236,9 @@ def _leave(memory_card: Path, name: str, data: bytes) -> Path:
 
 def _unreadable(path: Path, error: OSError) -> RecordError:
     return RecordError(f"{path}: cannot be read ({error.strerror or error}): {_REMEDY}")
+
+
+def fingerprint_of(public_key: str) -> str:
+    """Return a key's fingerprint as OpenSSH shows it, such as "SHA256:mVPwvezndPv/ARoIadVY98vAC0g"."""
+    digest = hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
+    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import os
 import select
 import socket
@@ -32,6 +30,7 @@ from device.pairing import (
     PairingChannel,
     code_of,
     draw_number,
+    fingerprint_of,
     opens,
 )
 from device.store.store import BundleStore
@@ -84,8 +83,8 @@ class _Caller:
 class PairingWindow:
     """An open window; a context manager that closes it, so that nothing listens afterwards.
 
-    It has threads of its own, so that a screen or a button's loop only polls it. Several callers are served at once, and
-    silent ones make room. One code is shown at a time; the third that nobody confirms closes the window.
+    Its threads let a screen or a button's loop only poll it. Several callers are served at once, silent ones make room.
+    One code is shown at a time; the third that nobody confirms closes the window.
 
     listening : socket for workstations; the window closes it
     card : the device's
@@ -370,12 +369,6 @@ def open_pairing_window(
     setup = setup or PairingSetup()
     card, keys = setup.card(store), setup.authorized_keys(store)
     return PairingWindow(_listening(setup.port), card, lambda host: authorize(keys, host), clock, window_s)
-
-
-def fingerprint_of(public_key: str) -> str:
-    """Return a key's fingerprint as OpenSSH shows it, such as "SHA256:mVPwvezndPv/ARoIadVY98vAC0g"."""
-    digest = hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
-    return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
 
 
 def how_to_call(window: PairingWindow, setup: PairingSetup, store: BundleStore) -> str:

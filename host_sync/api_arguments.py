@@ -1,4 +1,4 @@
-"""Checks of the arguments of `host_sync.api`, whose errors are one sentence; and its streams and series."""
+"""Checks of the arguments of `host_sync.api`, whose errors are one sentence, and the streams that it returns."""
 
 from __future__ import annotations
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.instrument_passed import HANDHELD_TESTS, ROOT, keep, options, state_of
+from tests.instrument_passed import HANDHELD_TESTS, ROOT, UNKNOWN, current_state, keep, options, state_of
 
+ON_PATH = ("tests/apparatus", ".ci/image", ".ci/step")
 FILES = ["device/errors.py", "tests/device/test_errors.py", "host_sync/api.py", "tests/host_sync/test_api.py"]
 
 
@@ -24,12 +25,21 @@ def test_all_run_until_they_passed_in_this_state(project: Path) -> None:
     stamp = project / "stamp"
     state = state_of(project, FILES)
     assert options(stamp, state) == []
-    assert options(stamp, state) == []  # the first run failed
-    keep(stamp)
+    keep(stamp, state, "edited during the run")
+    assert options(stamp, state) == []
+    keep(stamp, state, state)
     assert options(stamp, state) == [f"--ignore={folder}" for folder in HANDHELD_TESTS]
-    assert options(stamp, None) == []
-    keep(stamp)  # a run in an unknown state proves nothing new
     assert options(stamp, "another state") == []
+
+
+def test_what_is_unknown_is_never_left_out(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stamp = project / "stamp"
+    keep(stamp, UNKNOWN, UNKNOWN)
+    assert not stamp.exists()
+    stamp.write_text(UNKNOWN, encoding="utf-8")
+    assert options(stamp, UNKNOWN) == []
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-k few")
+    assert current_state() == UNKNOWN
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -39,6 +49,12 @@ def test_only_a_change_of_the_workstation_keeps_the_state(project: Path, name: s
     assert (state_of(project, FILES) == before) is ("host_sync" in name)
     (project / name).unlink()
     assert (state_of(project, FILES) == before) is ("host_sync" in name)
+
+
+def test_a_file_that_may_not_be_run_any_more_is_a_change(project: Path) -> None:
+    before = state_of(project, FILES)
+    (project / "device/errors.py").chmod(0o755)
+    assert state_of(project, FILES) != before
 
 
 def test_a_new_file_of_the_handheld_is_a_change(project: Path) -> None:
@@ -58,10 +74,11 @@ def test_no_test_of_the_handheld_reaches_the_workstation() -> None:
             continue
         seen.add(path)
         for name in imported(path):
-            if name.startswith("host_sync"):
+            if name.startswith(("host_sync", "tests.host_sync")):
                 reached.append(f"{path.relative_to(ROOT)}: {name}")
-            places = (ROOT / f"{name.replace('.', '/')}.py", ROOT / f"tests/apparatus/{name}.py")
-            waiting += [place for place in places if place.is_file() and place.is_relative_to(ROOT / "tests")]
+            own = [f"{name.replace('.', '/')}.py", *(f"{folder}/{name}.py" for folder in ON_PATH)]
+            tests = [ROOT / place for place in own if place.startswith(("tests/", ".ci/"))]
+            waiting += [place for place in tests if place.is_file()]
     assert len(seen) > len(HANDHELD_TESTS)
     assert reached == []
 
@@ -72,6 +89,7 @@ def imported(path: Path) -> set[str]:
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif isinstance(node, ast.ImportFrom):
+            assert node.module, f"{path}: an import by dots is not followed"
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
     return names

@@ -338,7 +338,7 @@ def receipt_name(bundle_id: str) -> str:
     return bundle_id + _SUFFIX
 
 
-def bundle_of(receipt_file: str) -> str | None:
+def receipted_bundle(receipt_file: str) -> str | None:
     """Return the id of the bundle that a receipt's file name states; None for any other file.
 
     The name alone proves nothing.

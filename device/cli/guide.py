@@ -1,4 +1,4 @@
-"""`retroscan demo`, `guide`, `cover` and `focus`: the simulated handheld's screens, and help with placing and focusing."""
+"""`retroscan demo`, `guide`, `cover` and `focus`: the simulated handheld's screens, and help to place and focus."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from hal.errors import BoardProfileError
 from hal.factory import open_hardware
 from hal.interfaces import LiftOff, PressObject
 
-BOARD: Final = "twin"
-FOLDER: Final = "retroscan-demo"
+DEMO_BOARD: Final = "twin"
+DEMO_FOLDER: Final = "retroscan-demo"
 
 
 def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
@@ -54,19 +54,19 @@ def demo(*, store: Folder | None = None, simulated: GivenSimulated) -> int:
     if profile.driver != "twin":
         raise BoardProfileError(f"{simulated.board}: is no simulated handheld: name twin or twin-distant, or no board")
     require_terminal()
-    folder = store or simulated.store_folder or default_store().with_name(folder_name(simulated.board))
-    prepare(folder, simulated.board)
+    folder = store or simulated.store_folder or default_store().with_name(demo_folder_name(simulated.board))
+    prepare_demo(folder, simulated.board)
     hardware, disk = open_hardware(profile, SystemClock()), DemoDisk(folder)
     instrument = Instrument(hardware, BundleStore(folder, hardware.clock, statvfs=disk))
     return show_screens(instrument, hardware, folder, DemoFaults(instrument, disk))
 
 
-def folder_name(board: str) -> str:
+def demo_folder_name(board: str) -> str:
     """Name of a board's folder: a calibration of one simulated handheld does not serve another."""
-    return FOLDER if board == BOARD else f"{FOLDER}-{Path(board).stem}"
+    return DEMO_FOLDER if board == DEMO_BOARD else f"{DEMO_FOLDER}-{Path(board).stem}"
 
 
-def prepare(folder: Path, board: str = BOARD) -> None:
+def prepare_demo(folder: Path, board: str = DEMO_BOARD) -> None:
     """Calibrate the twin into a store unless that has a calibration; virtual time makes it faster than a person."""
     with open_hardware(load_board_profile(board)) as hardware:
         made = BundleStore(folder, hardware.clock)

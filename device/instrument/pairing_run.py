@@ -11,11 +11,11 @@ from typing import Final
 from device.errors import DeviceError, RecordError
 from device.instrument.events import Failed, PairingChanged
 from device.instrument.state import PairingState, StateStore
+from device.pairing import fingerprint_of
 from device.pairing_service import (
     PairingSetup,
     PairingWindow,
     describe_code,
-    fingerprint_of,
     has_keys,
     how_to_call,
     open_pairing_window,

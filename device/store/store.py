@@ -26,11 +26,11 @@ from device.bundles.bundle import (
     FileWriter,
     Listing,
     bundle_ids,
-    bundle_of,
     clear_unpublished,
     is_bundle_id,
     list_bundles,
     publish_bundle,
+    receipted_bundle,
 )
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, decode_calibration, read_calibration
 from device.bundles.record import FileEntry, Identity, encode_record
@@ -336,7 +336,7 @@ def tidy_shared_folders(root: Path, bundle_ids: Collection[str]) -> None:
     """
     with suppress(OSError), _Shared(root / RECEIPTS) as receipts:
         for name in receipts.names():
-            if bundle_of(name) not in bundle_ids or not 0 <= receipts.file_size(name) <= MAX_RECEIPT_BYTES:
+            if receipted_bundle(name) not in bundle_ids or not 0 <= receipts.file_size(name) <= MAX_RECEIPT_BYTES:
                 receipts.remove(name)
     with suppress(OSError), _Shared(root / INBOX) as inbox:
         by_size = sorted((inbox.total_size(name), name) for name in inbox.names())

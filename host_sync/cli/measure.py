@@ -309,8 +309,8 @@ def gage_command(
         rows = numbers(read_rows(table, "value"), str(table))
     else:
         chosen, what = chosen_recipe(recipe, {}), number
-        planned = read_rows(plan, "result") if plan else _annotated(Library(library), scans) if library else []
-        rows, unit, doubts = _measured(planned, chosen, number)
+        planned = read_rows(plan, "result") if plan else _annotated_rows(Library(library), scans) if library else []
+        rows, unit, doubts = _measured_rows(planned, chosen, number)
     found = study(*crossed(rows), tolerance=tolerance)
     if not json:
         for line in study_text(found, what, unit).splitlines():
@@ -326,7 +326,7 @@ def gage_command(
     return DONE
 
 
-def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
+def _annotated_rows(library: Library, names: Sequence[str]) -> list[GageRow]:
     """Part, operator and newest results of each scan."""
     from host_sync.gage import GageRow
 
@@ -343,7 +343,7 @@ def _annotated(library: Library, names: Sequence[str]) -> list[GageRow]:
     return rows
 
 
-def _measured(
+def _measured_rows(
     rows: Sequence[GageRow], recipe: Recipe, number: str
 ) -> tuple[list[tuple[str, str, float]], str, list[str]]:
     """Part, operator and value of each row, the values' unit, and the results' doubts."""

@@ -1,4 +1,4 @@
-"""`retrosync demo`: from a press to a height map with a simulated handheld; `retrosync view`: results as a page."""
+"""`retrosync view`: results as a page; `retrosync demo`: from a press to a height map with a simulated handheld."""
 
 from __future__ import annotations
 
@@ -110,8 +110,8 @@ def _has_desktop() -> bool:
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-OBJECTS: Final = ("coin", "texture")
-PICTURE_FILE: Final = "demo.png"
+DEMO_OBJECTS: Final = ("coin", "texture")
+DEMO_PICTURE: Final = "demo.png"
 
 
 def demo_command(
@@ -143,7 +143,7 @@ def demo_command(
     with _compiling_meanwhile():
         print_line("The handheld is calibrated with twelve presses of a ball (simulated).")
         _retroscan(*handheld, "calibrate")
-        for name in OBJECTS:
+        for name in DEMO_OBJECTS:
             print_line(f"The {name} is pressed into the gel; a push of the button scans.")
             _retroscan(*handheld, "scan", "--object", name, "--part", name)
     report = pull(DirectorySource(card), library)
@@ -151,11 +151,11 @@ def demo_command(
         raise HostError(f"not pulled: {report.failed}")
     print_line("The workstation has pulled the scans and verified every byte. It calibrates and reconstructs.")
     with status_spinner() as tell:
-        rows = _reconstruct(library, tell)
+        rows = _reconstruct_all(library, tell)
         tell("drawing")
         from host_sync.render.picture_file import write_story
 
-        picture = out / PICTURE_FILE
+        picture = out / DEMO_PICTURE
         write_story(rows, picture)
     print_line(f"{time.monotonic() - began_s:.0f} s in all. Scans and height maps: {library.root}")
     print_line(f"Picture: {picture}")
@@ -193,7 +193,7 @@ def _retroscan(*arguments: str) -> None:
             raise HostError(lines[-1].removeprefix("retroscan: "))
 
 
-def _reconstruct(library: Library, tell: Callable[[str], None]) -> list[StoryRow]:
+def _reconstruct_all(library: Library, tell: Callable[[str], None]) -> list[StoryRow]:
     """Reconstruct every scan of the library; one row of the picture for each."""
     import cv2
     import numpy as np

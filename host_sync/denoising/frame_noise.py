@@ -144,17 +144,17 @@ def _level_ratios(images: Sequence[Float32Array], covariance: Float64Array) -> F
 # The null colour: the change of three colours that no slope makes, and what noise along it does to slopes.
 #
 # Colours of a surface lie on a surface of their own: two slopes move them in two directions, noise in three. A map that
-# was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So what
-# shrinkage took out of a pixel is measured along the third direction, and the slope that noise of such a colour has on
-# the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel by itself.
-# Detail of the surface has nothing along that direction, and stays.
+# was fitted to colours without noise reads slopes in those two directions; what it makes of the third is chance. So
+# what shrinkage took out of a pixel is measured along the third direction, and the slope that noise of such a colour
+# has on the mean is taken off what is read: the best linear unbiased estimate (Gauss and Markov), of each pixel by
+# itself. Detail of the surface has nothing along that direction, and stays.
 #
 # Both the direction and that slope are polynomials of first degree in stereographic slope and in place. A matt skin's
 # direction is one, but for a factor: its colours are linear in the normal.
 
 MAX_BALL_SAMPLES: Final = 12_000
-MIN_SAMPLES: Final = 500
-STEP: Final = 6e-3
+MIN_BALL_SAMPLES: Final = 500
+INTENSITY_STEP: Final = 6e-3
 """Of intensity, over which the map's change is taken."""
 
 DETAIL_VARIANCES: Final = (0.01, 0.03, 0.1, 0.3)
@@ -164,7 +164,7 @@ DETAIL_VARIANCES: Final = (0.01, 0.03, 0.1, 0.3)
 MAX_MISREAD: Final = 0.03
 """Root mean square change of slopes without noise, as a share of them."""
 
-PENALTY: Final = 1e-6
+TERM_PENALTY: Final = 1e-6
 PLACE_PENALTY: Final = 0.01
 """Of terms that change over the field, of -1 to 1: a ball alone does not tell them."""
 
@@ -215,7 +215,7 @@ def learn_null_colour(samples: BallSamples, inverse_map: InverseMap, noise: Fram
 
     samples : of a calibration's balls, their noise shrunk
     """
-    if len(samples.p) < MIN_SAMPLES:
+    if len(samples.p) < MIN_BALL_SAMPLES:
         return None
     some = samples.select(np.arange(0, len(samples.p), max(1, len(samples.p) // MAX_BALL_SAMPLES)))
     place = field_position(some.column.astype(np.float64), some.row.astype(np.float64), inverse_map.shape)
@@ -253,7 +253,7 @@ def _terms(u: Float64Array, place: Float64Array) -> Float64Array:
 def _price(u: Float64Array) -> Float64Array:
     """Price of the square of each term's coefficient, beside a sum of squares over samples of mean 1: shape (9,)."""
     square = np.maximum([1.0, *(u**2).mean(axis=0)], 1e-9)
-    return np.outer(square, [PENALTY, PLACE_PENALTY, PLACE_PENALTY]).ravel()
+    return np.outer(square, [TERM_PENALTY, PLACE_PENALTY, PLACE_PENALTY]).ravel()
 
 
 def _by_terms(coefficients: Float64Array) -> Float32Array:
@@ -273,12 +273,12 @@ def _unmoved(terms: Float64Array, price: Float64Array, normal: Float64Array) -> 
 
 def _reading_change(inverse_map: InverseMap, intensity: Float32Array, place: Float64Array) -> Float64Array:
     """Change of stereographic slope with intensity that a map reads: float64 array of shape (N, 2, 3)."""
-    steps = np.float32(STEP) * np.eye(3, dtype=np.float32)
+    steps = np.float32(INTENSITY_STEP) * np.eye(3, dtype=np.float32)
     more, less = (
         np.stack([inverse_map.stereographic_at(intensity + sign * step, place) for step in steps], axis=-1)
         for sign in (np.float32(1.0), np.float32(-1.0))
     )
-    return np.asarray((more - less) / (2.0 * STEP))
+    return np.asarray((more - less) / (2.0 * INTENSITY_STEP))
 
 
 # Colour of a slope: the root of intensity as a polynomial in slope and place, fitted to a calibration's balls.
@@ -309,7 +309,7 @@ class SlopeColour:
         place = field_position(samples.column[part].astype(np.float64), samples.row[part].astype(np.float64), shape)
         slope = stereographic_from_slope(samples.p[part].astype(np.float64), samples.q[part].astype(np.float64))
         features = _features(slope, place)
-        gram = features.T @ features + PENALTY * len(features) * np.eye(features.shape[1])
+        gram = features.T @ features + TERM_PENALTY * len(features) * np.eye(features.shape[1])
         root = root_of(samples.intensity[part]).astype(np.float64)
         return cls(np.asarray(np.linalg.solve(gram, features.T @ root)))
 

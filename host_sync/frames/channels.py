@@ -1,4 +1,4 @@
-"""Counts of a camera: where it is saturated, and two channels of a press that hold the same picture.
+"""Channels of a camera's frames: the full scale of their counts, and two that hold the same picture.
 
 Cameras of 10, 12 and 14 bit write their counts into 16 bit as they are, or shifted. The frames of one set show which:
 together they hold no count above the full scale, and where light is clipped, many pixels hold the same highest count.
@@ -124,7 +124,7 @@ def _is_limit(count: int) -> bool:
 COARSE_PX: Final = 100
 """Length of a frame's shorter side in which channels are compared: averages of blocks show little of JPEG's losses."""
 
-SAME: Final = 0.05
+EQUAL_WITHIN: Final = 0.05
 """Channels that differ nowhere by more than this fraction of their light are one: a ball shades lights differently."""
 
 
@@ -161,4 +161,7 @@ def check_channels(press: NDArray[Any], name: str, images: Sequence[Path] = ()) 
 
 def _are_equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
     light = float(np.percentile(first, 99.0))
-    return float(np.ptp(first)) > 3.0 * SAME * light and float(np.abs(first - second).max()) <= SAME * light
+    return (
+        float(np.ptp(first)) > 3.0 * EQUAL_WITHIN * light
+        and float(np.abs(first - second).max()) <= EQUAL_WITHIN * light
+    )

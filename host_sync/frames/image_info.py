@@ -1,6 +1,6 @@
 """Size, kind and orientation of an image file, and the words for one that cannot be used.
 
-Images that are stored turned or mirrored (TIFF, EXIF) are brought upright, and to square pixels.
+Images that are stored turned or mirrored (TIFF, EXIF) are brought upright. Oblong pixels become square.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def palette_channels(entries: NDArray[np.uint8]) -> int:
     return 1 if (colours == colours[:, :1]).all() else 3
 
 
-TAG: Final = 274
+ORIENTATION_TAG: Final = 274
 EXIF_START: Final = b"Exif\0\0"
 UPRIGHT: Final = 1
 _ROWS_ARE_COLUMNS: Final = (5, 6, 7, 8)
@@ -82,7 +82,7 @@ def exif_orientation(data: bytes) -> int:
     """
     try:
         with quiet_tiff_log(), tifffile.TiffFile(BytesIO(data)) as tiff:
-            return known_orientation(tiff.pages.first.tags.valueof(TAG))
+            return known_orientation(tiff.pages.first.tags.valueof(ORIENTATION_TAG))
     except TIFF_READ_ERRORS:
         return UPRIGHT
 

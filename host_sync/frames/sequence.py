@@ -25,7 +25,14 @@ from device.io.tiff import TIFF_READ_ERRORS, quiet_tiff_log
 from hal.frame import RawFrame
 from host_sync.errors import FrameSetError, SequenceError
 from host_sync.frames.image_file import MAX_PIXELS, read_with_info
-from host_sync.frames.image_info import TAG, ImageInfo, Pixels, check_one_orientation, known_orientation, upright
+from host_sync.frames.image_info import (
+    ORIENTATION_TAG,
+    ImageInfo,
+    Pixels,
+    check_one_orientation,
+    known_orientation,
+    upright,
+)
 from host_sync.frames.tiff_file import promises_another_page
 
 if TYPE_CHECKING:
@@ -180,7 +187,7 @@ class StackSequence:
                 try:
                     page = tiff.pages[number]
                     matches = page.shape == self._shape and page.dtype == self._dtype
-                    turned = known_orientation(page.aspage().tags.valueof(TAG)) if matches else 0
+                    turned = known_orientation(page.aspage().tags.valueof(ORIENTATION_TAG)) if matches else 0
                     pixels = upright(np.asarray(page.asarray(maxworkers=1)), turned) if matches else None
                 except TIFF_READ_ERRORS:
                     pixels = None

@@ -21,7 +21,7 @@ from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 from host_sync.errors import FrameSetError
 from host_sync.frames.image_info import (
     ACCEPTED,
-    TAG,
+    ORIENTATION_TAG,
     Decode,
     ImageInfo,
     Pixels,
@@ -234,7 +234,7 @@ def _full_pages(tiff: tifffile.TiffFile, path: Path) -> list[tifffile.TiffPage]:
 
 
 def _kind(page: tifffile.TiffPage) -> tuple[object, ...]:
-    return page.photometric, page.shape, page.dtype, page.bitspersample, page.tags.valueof(TAG, 1)
+    return page.photometric, page.shape, page.dtype, page.bitspersample, page.tags.valueof(ORIENTATION_TAG, 1)
 
 
 def _page_info(page: tifffile.TiffPage, path: Path) -> ImageInfo:
@@ -255,7 +255,10 @@ def _page_info(page: tifffile.TiffPage, path: Path) -> ImageInfo:
         full_scale = next((one for one in stated if one > 0), _ome_full_scale(page))
     if stored < 8:
         bits = stored
-    shape, orientation = (int(page.imagelength), int(page.imagewidth)), known_orientation(page.tags.valueof(TAG))
+    shape, orientation = (
+        (int(page.imagelength), int(page.imagewidth)),
+        known_orientation(page.tags.valueof(ORIENTATION_TAG)),
+    )
     return ImageInfo(shape, channels, bits, full_scale, bool(alphas), orientation=orientation)
 
 

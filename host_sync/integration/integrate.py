@@ -321,6 +321,9 @@ def _flat(weight: Float32Array) -> GradientField:
     return GradientField(np.zeros_like(weight), np.zeros_like(weight), weight > 0.0, weight)
 
 
+# Slopes of a full-size height map in one pass over memory: the workstation's form of `device.surface.surface_slopes`.
+
+
 def surface_slopes(height: HeightMap) -> tuple[Float32Array, Float32Array]:
     """Return slopes (p, q) by central differences: float32 arrays of shape (H, W), the portable ones but for rounding.
 

@@ -2,9 +2,9 @@
 
 The light of a few upright panels falls on a rough coat (Oren and Nayar, "Generalization of Lambert's reflectance
 model", SIGGRAPH 1994) with a glossy lobe (Walter et al., "Microfacet models for refraction through rough surfaces",
-EGSR 2007). Skin around a place adds one bounce (`kernels.incoming_light`). What sources cannot describe is a polynomial in the
-normal and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is divided
-by that of skin at rest, so that neither vignetting nor the brightness of a source matters.
+EGSR 2007). Skin around a place adds one bounce (`kernels.incoming_light`). What sources cannot describe is a polynomial
+in the normal and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is
+divided by that of skin at rest, so that neither vignetting nor the brightness of a source matters.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ import numpy as np
 
 from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import ExportError, MeasurementError
-from host_sync.export.array_formats import ANY_VERSION, read_tmd
+from host_sync.export.array_formats import TMD_ANY_VERSION, read_tmd
 from host_sync.export.source_surface import one_line
 from host_sync.results.doubts import FOREIGN_METHOD
 from host_sync.results.field_file import MAX_PIXELS
@@ -52,10 +52,10 @@ def read_foreign(path: Path) -> ResultSurface:
     """
     try:
         with path.open("rb") as file:
-            begins = file.read(len(ANY_VERSION))
+            begins = file.read(len(TMD_ANY_VERSION))
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read ({error.strerror}): name a surface file") from error
-    if begins == ANY_VERSION:
+    if begins == TMD_ANY_VERSION:
         try:
             found = read_tmd(path)
         except ExportError as error:

@@ -18,10 +18,10 @@ from device.bundles.bundle import (
     MANIFESTS,
     RECEIPTS,
     BundleKind,
-    bundle_of,
     is_utf_8,
     partial_name,
     receipt_name,
+    receipted_bundle,
 )
 from device.bundles.calibration import CALIBRATION_MANIFEST, CalibrationBundle
 from device.bundles.record import checksum_name, read_small
@@ -105,7 +105,7 @@ def _receipted(source: Source, log: PullLog, receipts: ReceiptWriter | None) -> 
     if receipts is None:
         return set()
     try:
-        return {bundle_of(name) for name in source.names(RECEIPTS)}
+        return {receipted_bundle(name) for name in source.names(RECEIPTS)}
     except SourceLost:
         raise
     except SourceError as error:

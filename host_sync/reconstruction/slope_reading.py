@@ -43,7 +43,7 @@ LIT: Final = 0.5
 MIN_OWN: Final = 0.1
 """Less of its own light no channel shows."""
 
-STEP: Final = 4
+SEQUENCE_STEP: Final = 4
 """Step of the pixels that show how much of a channel's light is its own."""
 
 
@@ -71,9 +71,9 @@ class LightSequence:
         for channel in range(CHANNELS):
             here = cv2.resize(np.ascontiguousarray(self.alone[..., channel]), size, interpolation=cv2.INTER_LINEAR)
             over = here / np.maximum(flat_field[..., channel], DARK_FLOOR)
-            all_lights = intensity.values[::STEP, ::STEP, channel]
-            lit = intensity.valid[::STEP, ::STEP] & (all_lights > LIT)
-            own = float(np.median(over[::STEP, ::STEP][lit] / all_lights[lit])) if lit.any() else 1.0
+            all_lights = intensity.values[::SEQUENCE_STEP, ::SEQUENCE_STEP, channel]
+            lit = intensity.valid[::SEQUENCE_STEP, ::SEQUENCE_STEP] & (all_lights > LIT)
+            own = float(np.median(over[::SEQUENCE_STEP, ::SEQUENCE_STEP][lit] / all_lights[lit])) if lit.any() else 1.0
             found[..., channel] = over / np.float32(max(own, MIN_OWN))
         return found
 

@@ -1,4 +1,4 @@
-"""Least squares of the slopes of two maps over pose and tilt, and how sure the pose is; maps at another pitch.
+"""Least squares of the slopes of two maps over pose and tilt, and how sure the pose is, and maps resampled.
 
 Slopes do not know a height or a long wave: another depth leaves them as they are wherever both presses touch the
 object. Tukey weights leave aside where they do not. The uncertainty is a delete-one jackknife over tiles of the field,

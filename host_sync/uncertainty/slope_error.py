@@ -5,8 +5,9 @@
   added up from a ball's apex to its rim give an error of height, and patches of that reach give the same
 * over the whole press: a ball shows each slope at one elevation only, and an object that shows it at another is read
   wrong (see `elevation`)
-* over the whole press: slopes read too steep or too flat by a share that goes with their tilt (see `calibration_uncertainty.gains_of_ball`), so
-  that heights are off by it; slopes steeper than any ball shows by that of balls' rims
+* over the whole press: slopes read too steep or too flat by a share that goes with their tilt (see
+  `calibration_uncertainty.gains_of_ball`), so that heights are off by it; slopes steeper than any ball shows by that of
+  balls' rims
 
 Standard deviations are half of the middle 68 % of the errors: few pixels (dust, lifted skin) are wrong without measure.
 """

@@ -15,7 +15,7 @@ from limits import running
 import device.cli.guide
 import device.cli.instrument_commands
 from device.bundles.calibration import CalibrationBundle
-from device.cli.guide import folder_name
+from device.cli.guide import demo_folder_name
 from device.cli.main import OLD_COMMANDS, app, chosen_board, main
 from device.instrument.demo_faults import DemoFaults
 from device.instrument.instrument import Instrument
@@ -304,7 +304,7 @@ def test_the_demonstration_takes_the_options_before_it_and_ends_with_the_screens
     assert main(["--board", str(small_board), "--store", str(tmp_path), "demo", "--store", str(store)]) == 5
     assert shown == [(store, load_board_profile(str(small_board)).name)] * 2
     assert "is no simulated handheld" in refusal(capsys, ["--board", "pi5-imx296", "demo"], 2)
-    assert folder_name("twin") != folder_name("twin-distant")
+    assert demo_folder_name("twin") != demo_folder_name("twin-distant")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

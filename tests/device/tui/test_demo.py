@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from device.cli.guide import prepare
+from device.cli.guide import prepare_demo
 from device.store.store import BundleStore
 from hal.clock import VirtualClock
 from tests.device.tui.conftest import Stage
@@ -82,8 +82,8 @@ def test_an_instrument_has_no_fault_menu(play: Callable[..., None], root: Path) 
 
 
 def test_the_first_start_calibrates_and_the_second_does_not(small_board: Path, tmp_path: Path) -> None:
-    prepare(tmp_path / "demo", str(small_board))
-    prepare(tmp_path / "demo", str(small_board))
+    prepare_demo(tmp_path / "demo", str(small_board))
+    prepare_demo(tmp_path / "demo", str(small_board))
     store = BundleStore(tmp_path / "demo", VirtualClock(start_ns=5_000))
     assert len(store.calibrations().bundles) == 1
     assert store.active_calibration().calibration_id == store.calibrations().bundles[0].calibration_id

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.kernels import kept_memory as module
+from host_sync.kernels import process_settings as module
 from host_sync.kernels.process_settings import kept_memory
 
 GLIBC = sys.platform == "linux" and platform.libc_ver()[0] == "glibc"

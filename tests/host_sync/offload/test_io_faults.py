@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from device.bundles.bundle import bundle_of
+from device.bundles.bundle import receipted_bundle
 from device.bundles.scan import ScanBundle
 from device.errors import DeviceError
 from device.io.atomic import atomic_directory
@@ -185,7 +185,7 @@ def test_pulling(place: Path, publish_scan: Callable[..., ScanBundle]) -> None:
             assert here.damaged == ()
             for scan in here.bundles:
                 scan.verify()
-            receipted = {bundle_of(path.name) for path in (card.root / "receipts").glob("*.json")}
+            receipted = {receipted_bundle(path.name) for path in (card.root / "receipts").glob("*.json")}
             assert receipted <= {scan.scan_id for scan in here.bundles}
         assert pull(DirectorySource(card.root), library, receipts=receipts()).complete
         found = verify_library(Library(library.root))

@@ -26,6 +26,7 @@ from device.pairing import (
     PairingChannel,
     commitment_to,
     draw_number,
+    fingerprint_of,
     leave_device_card,
     take_host_cards,
 )
@@ -34,7 +35,6 @@ from device.pairing_service import (
     PairingSetup,
     PairingWindow,
     authorize,
-    fingerprint_of,
     how_to_call,
     open_pairing_window,
     read_host_key,
