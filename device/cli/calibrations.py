@@ -228,8 +228,8 @@ def _facts(scan: ScanEntry) -> dict[str, Any]:
     }
 
 
-def import_inbox(store: BundleStore) -> list[InboxItem]:
-    """Import the pushed calibrations and print the outcome of each."""
+def print_imports(store: BundleStore) -> list[InboxItem]:
+    """Import the pushed calibrations, print the outcome of each, and return them."""
     items = store.import_inbox()
     for item in items:
         print_line(f"{item.name}: {item.refusal or 'imported'}")
@@ -245,7 +245,7 @@ def import_pushed(*, activate: bool = False, options: Given) -> int:
         Activate the last one imported.
     """
     store = open_store(options)
-    items = import_inbox(store)
+    items = print_imports(store)
     imported = [item.name for item in items if item.refusal is None]
     if activate and imported:
         print_line(f"Calibration {store.activate(imported[-1]).calibration_id} is active.")

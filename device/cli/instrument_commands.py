@@ -19,7 +19,7 @@ from device.acquisition.scanner import Scanner, ScanOutcome
 from device.acquisition.selftest import selftest
 from device.bundles.calibration import CalibrationRecord
 from device.bundles.scan import Annotations, CaptureMode
-from device.cli.calibrations import import_inbox
+from device.cli.calibrations import print_imports
 from device.cli.console import (
     Given,
     LengthMm,
@@ -175,7 +175,7 @@ def run(
         # The loop waits for a person: the twin runs in real time too.
         hardware = open_hardware(profile, SystemClock())
         store = open_store(options, hardware.clock)
-        import_inbox(store)
+        print_imports(store)
         with Instrument(hardware, store, ball_radius_mm=ball_radius_mm) as instrument:
             if (given := annotations_of(labels)) != Annotations():
                 instrument.set_sticky(given)

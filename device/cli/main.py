@@ -177,7 +177,7 @@ CALIBRATIONS: Final = (
     ),
     Command(
         "import-inbox",
-        "device.cli.service:import_pushed",
+        "device.cli.calibrations:import_pushed",
         "Import the calibrations that a workstation pushed.",
         ("retroscan calibrations import-inbox", "retroscan calibrations import-inbox --activate"),
     ),
