@@ -22,7 +22,7 @@ def test_every_command_is_found_by_its_name() -> None:
 
 def test_reconstructing_with_a_kept_calibration_loads_only_what_it_needs() -> None:
     """Of scipy the transforms; the rest is for calibrating and takes as long to load as a reconstruction."""
-    program = "import sys; from host_sync.reconstruction import from_library; print(*sys.modules)"
+    program = "import sys; from host_sync.reconstruction import scans; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert "scipy.fft" in loaded
     rest = {"scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "matplotlib"}
