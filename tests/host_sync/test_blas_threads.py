@@ -29,15 +29,17 @@ def test_matrices_have_one_thread_inside_and_what_they_had_outside() -> None:
 
 
 def test_after_calls_that_overlap_matrices_have_their_threads_back() -> None:
-    both_inside, first_outside = Event(), Event()
+    first_inside, both_inside, first_outside = Event(), Event(), Event()
     before = threads()
 
     def first() -> None:
         with one_blas_thread():
+            first_inside.set()
             assert both_inside.wait(60)
         first_outside.set()
 
     def second() -> None:
+        assert first_inside.wait(60)
         with one_blas_thread():
             assert threads() == {1}
             both_inside.set()
