@@ -26,7 +26,13 @@ from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
 from host_sync.gradients.confidence import even_confidence
-from host_sync.gradients.flat_field_kernel import check_exposure, empty_intensity, raw_intensity, stored_intensity
+from host_sync.gradients.flat_field_kernel import (
+    check_exposure,
+    empty_intensity,
+    raw_intensity,
+    stored_intensity,
+    take_out_light,
+)
 from host_sync.gradients.inverse_map_kernel import SlopeKernel, empty_gradients
 from host_sync.integration.integrate import Integrator
 from host_sync.integration.zero_level import Datum, find_datum, no_datum
@@ -212,9 +218,9 @@ class FrameSolver:
         intensity = self._read(frame)
         check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
         image, squares = self._reduced(intensity)
-        light.take_out(image.values, self._coarse_rest)
+        take_out_light(light, image.values, self._coarse_rest)
         if self._cell > 1:
-            light.take_out(intensity.values, self._flat_field)
+            take_out_light(light, intensity.values, self._flat_field)
         samples = SAMPLES_ALONG // CHECK_STRIDE_FACTOR
         foreign = check_frame(image, self._coarse_rest, self._coarse.inverse.map, samples)
         raise_on_warnings(foreign, frame.name, force=self.force)

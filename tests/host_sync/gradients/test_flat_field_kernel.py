@@ -10,9 +10,10 @@ import pytest
 
 from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, flat_field_correct
+from device.imaging.frame_light import FrameLight
 from hal.frame import BAYER_ORDERS, BayerOrder, CameraSettings, RawFrame
 from host_sync.frames.linear_light import light_of_values
-from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity
+from host_sync.gradients.flat_field_kernel import empty_intensity, raw_intensity, stored_intensity, take_out_light
 from host_sync.kernels.cell_rows import in_planes
 
 SHAPES = [(4, 4), (6, 4), (4, 10), (2, 2), (2, 8), (66, 70), (98, 130)]
@@ -91,3 +92,18 @@ def test_another_size_than_the_references_is_refused() -> None:
         stored_intensity(
             np.zeros((6, 8, 3), np.uint8), light_of_values(np.dtype(np.uint8), "linear"), flat_field((6, 10))
         )
+
+
+@pytest.mark.parametrize(
+    ("gains", "offsets"), [((1.1, 0.9, 1.0), (0.0, 0.01, -0.02)), ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))]
+)
+def test_light_is_taken_out_as_on_the_handheld(gains: tuple[float, ...], offsets: tuple[float, ...]) -> None:
+    random = np.random.default_rng(8)
+    values = random.uniform(0.2, 2.0, (7, 9, 3)).astype(np.float32)
+    rest = random.uniform(0.0, 0.8, (7, 9, 3)).astype(np.float32)
+    rest[0, 0] = 0.0
+    light = FrameLight(np.array(gains), np.array(offsets))
+    wanted, found = values.copy(), in_planes(values)
+    light.take_out(wanted, rest)
+    take_out_light(light, found, in_planes(rest))
+    assert np.array_equal(found, wanted)
