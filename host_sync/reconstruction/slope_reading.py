@@ -23,7 +23,7 @@ from hal.frame import RawFrame
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frame_checks.level_check import check_light
 from host_sync.gradients.confidence import even_confidence, strange_blocks
-from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity
+from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity, take_out_light
 from host_sync.gradients.inverse_map_kernel import SlopeKernel
 from host_sync.johnson2009.model import estimate_gradients
 from host_sync.kernels.jit import njit
@@ -261,7 +261,7 @@ def _read_channels(
     rest = None if calibration.skin_at_rest is None else calibration.skin_at_rest.evidence(raw)
     if rest is not None and rest.has_rest:
         checks = (*checks, *check_light(rest.light))
-        parallel_rows(rest.light.take_out, raw.shape, raw.values, calibration.flat_field)
+        take_out_light(rest.light, raw.values, calibration.flat_field)
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)
     warnings = refusals(checks)
