@@ -297,7 +297,7 @@ _READ_ERRORS: Final = (
     zlib.error,
     zipfile.BadZipFile,
 )
-"""What zipfile and numpy raise for bytes that are no model, or no longer."""
+"""Errors of zipfile and numpy for bytes that are no model, or no longer."""
 
 
 def write_model(path: Path, inverse_map: InverseMap) -> None:

@@ -45,7 +45,7 @@ STILL_S: Final = 0.4
 """Contact that has not moved for this long is still."""
 
 MOTION_DOUBTFUL: Final = 0.10
-"""The same change between the last live frame and the scan's frame above which the scan may be smeared."""
+"""Change between the last live frame and the scan's frame above which the scan may be smeared."""
 
 SHARP: Final = 0.4
 """Fine-to-coarse contrast of the strongest edges below which the frame is far out of focus or smeared."""

@@ -31,14 +31,14 @@ from host_sync.certificate.specimen_measurement import (
 )
 from host_sync.errors import HostError, MeasurementError
 from host_sync.frames.frame_set import FrameSet, FrameSpec
-from host_sync.frames.frame_set_file import read_frame_set_file
+from host_sync.frames.frame_set_file import CALIBRATION_FOLDER, read_frame_set_file
 from host_sync.frames.linear_light import read_frame
 from host_sync.measurement.quantity import Quantity, decimals
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.reconstruction.result_writer import write_result
-from host_sync.reconstruction.scans import CALIBRATION_FOLDER
 from host_sync.registration.difference import are_copies
 from host_sync.report.writing import Picture, Report, Table, find_browser, write_report
+from host_sync.results.doubts import CERTIFICATE_FILE
 from host_sync.results.reader import ResultSurface, read_result
 from host_sync.text import printable
 
@@ -135,7 +135,6 @@ def verdict_words(certificate: Certificate) -> str:
     return "The instrument is not judged: a specimen is missing, or its number or uncertainty is not known."
 
 
-RECORD_FILE = "certificate.json"
 PAGES = "certificate"
 Tell = Callable[[str], None]
 
@@ -177,7 +176,7 @@ def certificate_of_frame_set(
 
 def write_certificate(certificate: Certificate, out: Path) -> list[Path]:
     """Write `certificate.json`, `.html` and, where there is a browser, `.pdf` to a folder; return the last two."""
-    write_output(out / RECORD_FILE, msgspec.json.format(msgspec.json.encode(certificate), indent=2))
+    write_output(out / CERTIFICATE_FILE, msgspec.json.format(msgspec.json.encode(certificate), indent=2))
     return write_report(pages_of(certificate), out / PAGES, find_browser())
 
 

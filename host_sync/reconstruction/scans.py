@@ -26,6 +26,7 @@ from host_sync.calibration_report.report import DPI, REPORT_FILE
 from host_sync.errors import FrameSetError, HostError
 from host_sync.filters.form import DetailBand
 from host_sync.frames.frame_set import FrameSet, ScanSpec
+from host_sync.frames.frame_set_file import CALIBRATION_FOLDER
 from host_sync.frames.linear_light import read_frame
 from host_sync.kernels.process_settings import kept_memory
 from host_sync.library.library import Library
@@ -54,7 +55,6 @@ def with_overview(kept: KeptCalibration, reference: LinearFrame | None) -> KeptC
     return replace(kept, report=kept.report | {OVERVIEW_FILE: picture})
 
 
-CALIBRATION_FOLDER = "calibration"
 SAME_PIXEL_SHAPE: Final = 0.01
 
 

@@ -177,7 +177,7 @@ MIN_PLACES: Final = 4
 """Balls that tell what is common to all, and what is not."""
 
 FAR_SHARE: Final = 0.02
-"""What a ball counts at least, however far it is."""
+"""Smallest weight of a ball, however far it is."""
 
 GENTLE_DEG: Final = 10.0
 """Bands below are one: of single degrees noise and centres tell more than gains."""

@@ -185,7 +185,7 @@ On untouched skin of five rendered devices the middle of the field has 1.15 to 1
 """
 
 UNSEEN: Final = np.float32(2.0)
-"""What is missing over what the raw surface shows of it."""
+"""Ratio of missing detail to the detail that the raw surface shows."""
 
 MOSTLY: Final = np.float32(0.25)
 """Share of detail's energy from which on what shrinkage takes counts as detail in full."""

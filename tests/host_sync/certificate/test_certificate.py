@@ -15,7 +15,6 @@ import tifffile
 from device.surface import HeightMap
 from host_sync.calibration.calibrate import Calibration
 from host_sync.certificate.certificate import (
-    RECORD_FILE,
     Certificate,
     HashedFile,
     check_specimen,
@@ -33,6 +32,7 @@ from host_sync.certificate.specimen_measurement import (
 )
 from host_sync.errors import MeasurementError
 from host_sync.frames.frame_set import FrameSpec
+from host_sync.results.doubts import CERTIFICATE_FILE
 from host_sync.results.reader import ResultRecord, ResultSurface
 from tests.apparatus.printing import needs_browser
 
@@ -252,7 +252,7 @@ def test_the_certificate_is_written_as_json_and_pages(tmp_path: Path) -> None:
     assert pages == tmp_path / "certificate.html"
     assert "<h1>Calibration certificate: made</h1>" in pages.read_text(encoding="utf-8")
     assert "<code></code>" not in pages.read_text(encoding="utf-8")
-    read = msgspec.json.decode((tmp_path / RECORD_FILE).read_bytes(), type=Certificate)
+    read = msgspec.json.decode((tmp_path / CERTIFICATE_FILE).read_bytes(), type=Certificate)
     assert read == certificate
     assert sheets == [tmp_path / "certificate.pdf"]
     before = sheets[0].read_bytes()
