@@ -119,7 +119,7 @@ def _levels(responses: list[float], plan: CaptureSettings) -> Levels:
     return red, green, blue
 
 
-def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str], None]) -> ExposureBalance:
+def auto_exposure(hardware: Hardware, ball_radius_mm: float, report_progress: Callable[[str], None]) -> ExposureBalance:
     """Return the exposure and currents for this gel and these lights, from one ball press near each light.
 
     Raises
@@ -131,7 +131,7 @@ def auto_exposure(hardware: Hardware, ball_radius_mm: float, tell: Callable[[str
     """
     search = ExposureSearch(hardware, ball_radius_mm)
     while not search.is_complete:
-        tell(f"Exposure: {search.instruction}")
+        report_progress(f"Exposure: {search.instruction}")
         prompt_and_wait(hardware, search.request)
         search.measure()
     return search.result()

@@ -42,12 +42,12 @@ def calibrate(
     hardware: Hardware,
     store: BundleStore,
     ball_radius_mm: float,
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
     plan: CaptureSettings | None = None,
 ) -> CalibrationOutcome:
     """Guide through a calibration, publish it and make it active.
 
-    tell : shows one line to the operator
+    report_progress : shows one line to the operator
     plan : exposure and currents, for example from `auto_exposure`; None: the board profile's
 
     Every press must show exactly the exposure and gain that the reference was granted.
@@ -63,17 +63,17 @@ def calibrate(
     plan = plan or CaptureSettings.of_board(hardware)
     guide = GuidedCalibration(hardware.profile, ball_radius_mm, last_calibration(hardware, store, plan))
     while guide.progress.phase in {"reference", "press"}:
-        tell(guide.progress.instruction)
+        report_progress(guide.progress.instruction)
         prompt_and_wait(hardware, guide.request)
         if guide.progress.phase == "reference":
-            frame, plan = take_reference(hardware, plan, tell)
+            frame, plan = take_reference(hardware, plan, report_progress)
         else:
             frame = capture(hardware, plan)
         guide.add_frame(frame)
         if guide.progress.complaint:
-            tell(f"  {guide.progress.complaint}.")
+            report_progress(f"  {guide.progress.complaint}.")
     if guide.progress.phase != "failed":  # its error says the same
-        tell(guide.progress.instruction)
+        report_progress(guide.progress.instruction)
     return finish(hardware, store, plan, guide)
 
 
@@ -90,7 +90,7 @@ def last_calibration(hardware: Hardware, store: BundleStore, plan: CaptureSettin
 
 
 def take_reference(
-    hardware: Hardware, plan: CaptureSettings, tell: Callable[[str], None]
+    hardware: Hardware, plan: CaptureSettings, report_progress: Callable[[str], None]
 ) -> tuple[RawFrame, CaptureSettings]:
     """Return the reference after a check of every light, and the plan that holds presses to the reference's settings.
 
@@ -103,7 +103,9 @@ def take_reference(
     """
     for light in hardware.profile.lights:
         if flags := check_light_visible(hardware, plan, light):
-            tell(f"Note: the driver reports {flags} at light {light.name}, which is visible: run `retroscan selftest`.")
+            report_progress(
+                f"Note: the driver reports {flags} at light {light.name}, which is visible: run `retroscan selftest`."
+            )
     reference = capture(hardware, plan)
     return reference, replace(plan, granted=reference.granted)
 

@@ -73,7 +73,7 @@ def measure_check(
     evidence : of the press, with the lights as measured since
     frame : without ambient light
     levels : intensity of untouched skin in R, G and B, 1 as calibrated
-    calibration : whose own balls tell how much too large balls read
+    calibration : whose own balls show how much too large balls read
     asks : whether an operator can be asked about a look-alike
 
     Raises

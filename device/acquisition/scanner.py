@@ -78,7 +78,7 @@ class Assessment:
 
     @property
     def awaits_lift(self) -> bool:
-        """True if the press is good if the lights prove right: its frame shows too little untouched skin to tell."""
+        """True if the press is good if the lights prove right: its frame shows too little untouched skin to decide."""
         return self.evidence.lacks_only_lights
 
 

@@ -271,9 +271,9 @@ def _energies(rings: RadialProfiles, contact: float) -> tuple[float, float]:
 # Distance from its apex up to which the skin follows a ball.
 #
 # The *ramp*, first harmonic of a ring over its distance from the centre, is level near the apex, bends with the
-# reflectance towards the border of the contact and falls fast where the skin lifts off. One ball alone cannot tell the
-# bend from the fall, so that its contact is cut early; among the balls of a frame, which share the reflectance, a ball
-# that falls before the others was pressed less deep.
+# reflectance towards the border of the contact and falls fast where the skin lifts off. One ball alone does not
+# separate the bend from the fall, so that its contact is cut early; among the balls of a frame, which share the
+# reflectance, a ball that falls before the others was pressed less deep.
 
 CONTACT_RINGS: Final = tuple(0.1 + 0.05 * k for k in range(27))
 """Distances of the rings that show a contact, shares of the ball's radius."""

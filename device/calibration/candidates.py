@@ -79,7 +79,7 @@ ANCHORS: Final = 4000
 ANCHOR_SLOPE: Final = 0.1
 ANCHOR_SHARE: Final = 100.0
 """Gentle slopes up to the second, as many as the first, weigh so many times as much as all samples in a curve that is
-anchored: near lights tell them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
+anchored: near lights show them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
 
 ANCHOR_COST: Final = 0.93
 """Share of an anchored curve's held-out error below which one without anchors is taken: balls show little that is
@@ -97,7 +97,7 @@ It is 0.74 and 0.77 on rendered sensors with strongly coloured light, whose heig
 """
 
 GENTLE_SLOPE: Final = 0.27
-"""Slopes up to 15 degrees tell the gain error."""
+"""Slopes up to 15 degrees, from which the error of the gain is estimated."""
 
 WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""

@@ -60,7 +60,7 @@ BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 MIN_PIXELS: Final = 500
 
 CHOOSING_SAMPLES: Final = 12_000
-"""So many samples tell forms and penalties apart: what held-out balls get wrong is alike over many pixels."""
+"""Samples by which forms and penalties are compared: what held-out balls get wrong is alike over many pixels."""
 
 SAME_RADIUS: Final = 0.02
 """Radii this share apart are two sizes of balls."""

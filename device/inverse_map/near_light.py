@@ -34,7 +34,7 @@ CUBIC_DOUBT: Final = 0.1
 """Price of terms of degree 3, relative to one ball's information on a direction: a dozen balls leave some open."""
 
 GENTLE: Final = 0.35
-"""Slopes up to which samples tell the directions: no light has set behind them."""
+"""Slopes up to which directions are fitted: no light has set behind them."""
 
 MIN_BRIGHTNESS: Final = 0.2
 """1 / s is held above this: beyond it lies no skin that three lights show."""

@@ -152,7 +152,7 @@ class Evidence:
 
     @property
     def lacks_contact(self) -> bool:
-        """True if nothing touches the skin, as far as the frame can tell."""
+        """True if nothing touches the skin, as far as the frame shows."""
         contact = self._press.contact_fraction
         return contact is not None and contact < MIN_CONTACT
 

@@ -210,7 +210,7 @@ class ScanWork:
 
     root : the library's folder
     method, band, force, detail : as for `LibraryReconstructor`
-    tell : is given a few words as each step begins, in the process
+    report_progress : is given a few words as each step begins, in the process
     """
 
     root: Path
@@ -218,7 +218,7 @@ class ScanWork:
     band: DetailBand | None = None
     force: bool = False
     detail: DetailName = "shrunk"
-    tell: Callable[[str], None] = _quiet
+    report_progress: Callable[[str], None] = _quiet
 
     def __call__(self) -> Callable[[ScanTask], ScanOutcome]:
         """Return the function that reconstructs scans in this process."""
@@ -234,7 +234,7 @@ class ScanWork:
             return LibraryReconstructor(
                 Library(self.root),
                 self.method,
-                self.tell,
+                self.report_progress,
                 self.band,
                 force=self.force,
                 detail=self.detail,

@@ -93,7 +93,7 @@ class LibraryWatch:
     job : makes the calibrations, and reconstructs where one process is enough
     recipe : of the measurement
     workers : as for `reconstruct_all`
-    tell : is given a few words as each step begins
+    report_progress : is given a few words as each step begins
     """
 
     def __init__(
@@ -102,13 +102,13 @@ class LibraryWatch:
         job: LibraryReconstructor,
         recipe: Recipe,
         workers: int | None = None,
-        tell: Callable[[str], None] = lambda _: None,
+        report_progress: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._library = library
         self._job = job
         self._recipe = recipe
         self._workers = workers
-        self._tell = tell
+        self._report_progress = report_progress
         self._done: dict[str, _Stamp] = {}
         self._failed: dict[str, tuple[frozenset[str], _Stamp]] = {}
 
@@ -184,10 +184,10 @@ class LibraryWatch:
         from host_sync.measurement.measure import measure_result
         from host_sync.measurement.measurement import as_record
 
-        self._tell(f"{outcome.scan[-10:]}: measuring")
+        self._report_progress(f"{outcome.scan[-10:]}: measuring")
         try:
             what = self._what(folder)
-            record = as_record(measure_result(folder, self._recipe, self._tell)) | {MEASURED: what}
+            record = as_record(measure_result(folder, self._recipe, self._report_progress)) | {MEASURED: what}
         except (DeviceError, HostError) as error:
             return ScanOutcome(outcome.scan, reason=str(error))
         except OSError as error:

@@ -22,7 +22,7 @@ SAME_BALL: Final = 0.5
 """A found ball this close to a label, as a share of the radius, is the labelled one."""
 
 SAMPLED_STEP: Final = 16
-"""Step of the pixels that are compared to tell frames apart."""
+"""Step of the pixels that are compared to distinguish frames."""
 
 MAX_WIDENING: Final = 1.06
 """Labels that draw contacts wider than the finder does widen found ones by this factor at most."""

@@ -154,7 +154,7 @@ def calibrate(
     pitch_um: float,
     *,
     others: Sequence[LinearFrame] = (),
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     paper: bool = False,
     lights_mm: Sequence[Position] = (),
     pupil_height_mm: float | None = None,
@@ -163,7 +163,7 @@ def calibrate(
 
     reference : frame of the untouched skin; None fits a stand-in to the presses and `others`
     pitch_um : as stated; where a press shows a grid of known spacing, the pitch that it measures is used instead
-    tell : is given a few words as each step begins
+    report_progress : is given a few words as each step begins
     paper : fit the paper's model also where it has no prospect of a smaller held-out error
     lights_mm : places of the sources by channel, see `Position`; empty where it is not known
     pupil_height_mm : the camera's height over untouched skin, see `Viewpoint`; None where it is not known
@@ -175,11 +175,11 @@ def calibrate(
     CalibrationMismatch
         Frames of different sizes, channel orders, lights or gels.
     """
-    prepared = PreparedPresses.of(presses, reference, pitch_um, others, tell)
-    models = SlopeModels.of(prepared, lights_mm, pupil_height_mm, tell)
+    prepared = PreparedPresses.of(presses, reference, pitch_um, others, report_progress)
+    models = SlopeModels.of(prepared, lights_mm, pupil_height_mm, report_progress)
     assessment = _assessment(prepared, models)
-    held_out_deg, paper_model = _paper(models, tell, wanted=paper)
-    tell("measuring the slope error")
+    held_out_deg, paper_model = _paper(models, report_progress, wanted=paper)
+    report_progress("measuring the slope error")
     light, elevation, slope_error = models.held_out()
     found = Calibration(
         calibration_id="",
@@ -223,14 +223,14 @@ def _assessment(prepared: PreparedPresses, models: SlopeModels) -> Assessment:
 
 
 def _paper(
-    models: SlopeModels, tell: Callable[[str], None], *, wanted: bool
+    models: SlopeModels, report_progress: Callable[[str], None], *, wanted: bool
 ) -> tuple[dict[Method, float], PaperModel | None]:
     """Return held-out errors by method, and the paper's model where it is wanted or may be the better one."""
     direct_deg = models.inverse.held_out_deg
     held_out: dict[Method, float] = {"direct": float("nan") if direct_deg is None else direct_deg}
     if not wanted and not is_open(held_out["direct"]):
         return held_out, None
-    tell("building reflectance maps and the lookup table")
+    report_progress("building reflectance maps and the lookup table")
     found = fit_paper_model(models.training)
     held_out["paper"] = held_out_paper_deg(models.pressed)
     return held_out, found

@@ -74,7 +74,7 @@ class CalibrationFrames:
 
 
 @kept_memory()
-def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = lambda _: None) -> Calibration:
+def calibrate_frames(frames: CalibrationFrames, report_progress: Callable[[str], None] = lambda _: None) -> Calibration:
     """Return the calibration that the frames carry; errors as for `calibrate`."""
     calibration = calibrate_lights(
         frames.presses,
@@ -85,7 +85,7 @@ def calibrate_frames(frames: CalibrationFrames, tell: Callable[[str], None] = la
         paper=frames.paper,
         lights_mm=frames.lights_mm,
         pupil_height_mm=frames.pupil_height_mm,
-        tell=tell,
+        report_progress=report_progress,
     )
     assessment = calibration.assessment
     added = frames.left_out if frames.marks is None else (*frames.left_out, frames.marks.note)
@@ -120,7 +120,7 @@ def calibrate_lights(
     *,
     others: Sequence[LinearFrame] = (),
     light_names: Sequence[str] = (),
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     paper: bool = False,
     lights_mm: Sequence[Position] = (),
     pupil_height_mm: float | None = None,
@@ -144,7 +144,7 @@ def calibrate_lights(
             reference,
             pitch_um,
             others=others,
-            tell=tell,
+            report_progress=report_progress,
             paper=paper,
             lights_mm=lights_mm,
             pupil_height_mm=pupil_height_mm,
@@ -158,7 +158,7 @@ def calibrate_lights(
                 in_group(reference, group) if reference else None,
                 pitch_um,
                 others=[in_group(frame, group) for frame in others],
-                tell=_telling(tell, f"lights {number} of {len(groups)}: "),
+                report_progress=_with_prefix(report_progress, f"lights {number} of {len(groups)}: "),
                 lights_mm=[lights_mm[light] for light in group] if lights_mm else (),
                 pupil_height_mm=pupil_height_mm,
             )
@@ -167,7 +167,7 @@ def calibrate_lights(
     flat_field = _flat_field(groups, found, count)
     balls: list[tuple[Ball, ...]] = [press.balls for press in first.presses]
     lights = find_light_groups(groups, list(zip(frames, balls, strict=True)), flat_field, light_names)
-    tell("measuring the slope error of all lights")
+    report_progress("measuring the slope error of all lights")
     images = [
         [flat_field_correct(in_group(frame, group), own.flat_field) for group, own in zip(groups, found, strict=True)]
         for frame in frames
@@ -185,8 +185,8 @@ def _flat_field(groups: Sequence[Group], found: Sequence[Calibration], count: in
     return flat_field
 
 
-def _telling(tell: Callable[[str], None], words: str) -> Callable[[str], None]:
-    return lambda step: tell(words + step)
+def _with_prefix(report_progress: Callable[[str], None], words: str) -> Callable[[str], None]:
+    return lambda step: report_progress(words + step)
 
 
 # Slope error of several groups of lights read together.

@@ -61,7 +61,7 @@ class PreparedPresses:
         reference: LinearFrame | None,
         stated_um: float,
         others: Sequence[LinearFrame],
-        tell: Callable[[str], None],
+        report_progress: Callable[[str], None],
     ) -> PreparedPresses:
         """Check and prepare presses; arguments and errors as for `calibrate`."""
         if not presses:
@@ -70,12 +70,12 @@ class PreparedPresses:
         check_distinct(presses)
         if reference is not None:
             check_reference(reference)
-        tell("flat-field correction")
+        report_progress("flat-field correction")
         flat_field = flat_field_of([*(press.frame for press in presses), *others], reference)
-        tell("finding balls")
+        report_progress("finding balls")
         located, pitch = locate_all(presses, flat_field, stated_um, reference)
         frame_model = FrameModel.of(reference, flat_field, pressed(located))
-        tell("measuring the frames' noise")
+        report_progress("measuring the frames' noise")
         at_rest = SkinAtRest.of(pressed(located), flat_field) if reference else None
         lights = _lights(located, at_rest)
         level = [flat_field_correct(reference, flat_field)] if reference else [press.intensity for press in located]

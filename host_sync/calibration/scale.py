@@ -4,7 +4,7 @@ A ball's slopes are its places over its radius: p = s / sqrt(1 - s²), s = pixel
 slopes times pitch. So a height is proportional to the square of the pitch and to the inverse of the radius (of gentle
 slopes; steep ones feel both more). Neither shows in the shading of balls of one size: what shading shows is the ratio
 of a ball's places to its radius alone, and a map learned from it fits as well with both wrong by one share. Balls of
-two radii contradict each other where one of the two is wrong; their pitch they cannot tell either.
+two radii contradict each other where one of the two is wrong; they do not determine the pitch either.
 """
 
 from __future__ import annotations

@@ -64,20 +64,20 @@ class SlopeModels:
         prepared: PreparedPresses,
         lights_mm: Sequence[Position],
         pupil_height_mm: float | None,
-        tell: Callable[[str], None],
+        report_progress: Callable[[str], None],
     ) -> SlopeModels:
         """Fit the models to presses; arguments and errors as for `calibrate`."""
-        tell("fitting the position-aware inverse map")
+        report_progress("fitting the position-aware inverse map")
         illumination = prepared.illumination
         begun, located, centres = fit_to_best_balls(prepared.frames, prepared.located, illumination)
         located, begun, removes_light = _in_best_light(prepared, located, begun, illumination)
         located, begun = without_disagreement(located, begun, illumination)
         viewpoint = _viewpoint(prepared, pupil_height_mm)
         if viewpoint is not None:
-            tell("fitting it again as the camera sees the balls")
+            report_progress("fitting it again as the camera sees the balls")
             located = seen_from(located, begun.fit.map, viewpoint)
             begun = fit_to(located, illumination, begun)
-        tell("fitting the light model")
+        report_progress("fitting the light model")
         columns = prepared.flat_field.shape[1]
         positions = np.asarray(lights_mm, np.float64) * (1e3 / prepared.pitch_um / columns) if lights_mm else None
         lowered = LoweredBalls.of(located, begun.fit, slope_sigma_of(begun.fit.held_out_deg), positions)

@@ -29,7 +29,7 @@ from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.frames.linear_light import mark_pattern
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 class Calibrator:
@@ -39,7 +39,7 @@ class Calibrator:
     ----------
     cache : where calibrations are looked for, and kept
     given : a calibration that is taken whatever is asked for, with where it came from
-    tell : is given a few words as each step begins
+    report_progress : is given a few words as each step begins
     obtained : is given every calibration and a sentence on where it came from
     paper : every calibration must hold the paper's model
     """
@@ -49,13 +49,13 @@ class Calibrator:
         cache: CalibrationCache | None = None,
         *,
         given: tuple[KeptCalibration, str] | None = None,
-        tell: Tell = lambda _: None,
+        report_progress: ReportProgress = lambda _: None,
         obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None,
         paper: bool = False,
     ) -> None:
         self._cache = cache or CalibrationCache(None)
         self._given = given
-        self._tell = tell
+        self._report_progress = report_progress
         self._obtained = obtained
         self._paper = paper
         self._known: dict[str, KeptCalibration] = {}
@@ -106,7 +106,7 @@ class Calibrator:
         """
         if self._given is not None:
             return self.named()
-        self._tell("looking for an earlier calibration")
+        self._report_progress("looking for an earlier calibration")
         key = key_of_set(frame_set)
         frame = frame_set.presses[0].frame
         marks = mark_pattern(frame_set.reference) if frame_set.reference else None
@@ -155,8 +155,8 @@ class Calibrator:
             source = f"made {kept.facts.made_utc} and kept since"
         else:
             began_s = time.monotonic()
-            self._tell("reading frames")
-            kept = make_calibration(replace(frames(), paper=self._paper), facts, self._tell)
+            self._report_progress("reading frames")
+            kept = make_calibration(replace(frames(), paper=self._paper), facts, self._report_progress)
             source = f"made now in {time.monotonic() - began_s:.0f} s"
             if self._cache.keep(kept):
                 source += " and kept for the next time"
@@ -165,12 +165,16 @@ class Calibrator:
         return kept
 
 
-def calibrate_frame_set(frame_set: FrameSet, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
+def calibrate_frame_set(
+    frame_set: FrameSet, report_progress: ReportProgress = lambda _: None, *, paper: bool = False
+) -> Calibration:
     """Return the calibration that a frame set's presses carry, made now; errors as for `Calibrator.of_frame_set`."""
-    tell("reading frames")
-    return calibrate_frames(replace(frames_of_set(frame_set), paper=paper), tell)
+    report_progress("reading frames")
+    return calibrate_frames(replace(frames_of_set(frame_set), paper=paper), report_progress)
 
 
-def calibration_of(bundle: CalibrationBundle, tell: Tell = lambda _: None, *, paper: bool = False) -> Calibration:
+def calibration_of(
+    bundle: CalibrationBundle, report_progress: ReportProgress = lambda _: None, *, paper: bool = False
+) -> Calibration:
     """Return the calibration that a bundle carries, made now; errors as for `Calibrator.of_bundle`."""
-    return calibrate_frames(replace(frames_of_bundle(bundle), paper=paper), tell)
+    return calibrate_frames(replace(frames_of_bundle(bundle), paper=paper), report_progress)

@@ -215,11 +215,13 @@ class KeptCalibration:
 
 
 def make_calibration(
-    frames: CalibrationFrames, facts: Callable[[Calibration], Facts], tell: Callable[[str], None] = lambda _: None
+    frames: CalibrationFrames,
+    facts: Callable[[Calibration], Facts],
+    report_progress: Callable[[str], None] = lambda _: None,
 ) -> KeptCalibration:
     """Return the calibration that frames carry, with its report; errors as for `calibrate`."""
-    calibration = calibrate_frames(frames, tell)
-    tell("drawing the calibration's report")
+    calibration = calibrate_frames(frames, report_progress)
+    report_progress("drawing the calibration's report")
     report = report_files(calibration)
     return KeptCalibration(from_members(as_members(calibration), Calibration), report, facts(calibration))
 

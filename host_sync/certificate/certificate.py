@@ -136,14 +136,14 @@ def verdict_words(certificate: Certificate) -> str:
 
 
 PAGES = "certificate"
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 def certificate_of_frame_set(
     frame_set: FrameSet,
     specimens: Sequence[Path],
     out: Path,
-    tell: Tell = lambda _: None,
+    report_progress: ReportProgress = lambda _: None,
     calibrator: Calibrator | None = None,
 ) -> tuple[Certificate, list[Path]]:
     """Judge the instrument that a frame set calibrates, and return its certificate's pages; all is written to `out`.
@@ -162,12 +162,12 @@ def certificate_of_frame_set(
     """
     read = [(path, read_specimen(path)) for path in specimens]  # before minutes of work
     check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)
-    kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
+    kept = (calibrator or Calibrator(report_progress=report_progress)).of_frame_set(frame_set)
     kept.write_report(out / CALIBRATION_FOLDER)
     calibration = kept.calibration
     form = FrameSpec((), read_frame_set_file(frame_set.path).encoding, frame_set.full_scale, frame_set.pixel_shape)
     checked = [
-        check_specimen(path, one, calibration, form, out / f"{number:02d}-{path.stem}", tell)
+        check_specimen(path, one, calibration, form, out / f"{number:02d}-{path.stem}", report_progress)
         for number, (path, one) in enumerate(read, start=1)
     ]
     certificate = certify(frame_set.name, calibration, checked, list(_hashed(frame_set.path, read)))
@@ -181,7 +181,12 @@ def write_certificate(certificate: Certificate, out: Path) -> list[Path]:
 
 
 def check_specimen(
-    path: Path, specimen: SpecimenFile, calibration: Calibration, form: FrameSpec, out: Path, tell: Tell
+    path: Path,
+    specimen: SpecimenFile,
+    calibration: Calibration,
+    form: FrameSpec,
+    out: Path,
+    report_progress: ReportProgress,
 ) -> CheckedSpecimen:
     """Reconstruct and measure every scan of a specimen, and judge the values.
 
@@ -193,7 +198,7 @@ def check_specimen(
     quantities: list[Quantity] = []
     failures: list[str] = []
     for number, scan in enumerate(specimen.scan, start=1):
-        tell(f"{specimen.name}: scan {number} of {len(specimen.scan)}")
+        report_progress(f"{specimen.name}: scan {number} of {len(specimen.scan)}")
         try:
             surface = _surface(path.parent, scan, calibration, form, out / f"scan-{number:02d}", specimen.name)
             if any(are_copies(one.height.z_um, surface.height.z_um) for one in surfaces):

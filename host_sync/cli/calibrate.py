@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from device.bundles.calibration import CALIBRATION_MANIFEST, read_calibration
 from device.command_line import Folder
 from device.io.atomic import check_output, write_output
-from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, announce_compiling, print_error, print_line, status_spinner
 from host_sync.errors import CalibrationFileError, FrameSetError
 from host_sync.frames.frame_set import load_frame_set
 from host_sync.frames.frame_set_file import SET_FILE, set_file
@@ -63,14 +63,14 @@ def calibrate_command(
     if out.is_dir():
         raise FrameSetError(f"{out} is a folder: name a file for the calibration, such as {out / 'gel.calibration'}")
     check_output(out)
-    tell_of_compiling()
+    announce_compiling()
     from host_sync.reconstruction.scans import with_overview
     from host_sync.results.files import OVERVIEW_FILE
 
-    with status_spinner() as tell:
-        tell("loading compiled code")
-        kept = obtain_calibration(source, library, tell, paper=paper)
-        tell("drawing the overview")
+    with status_spinner() as report_progress:
+        report_progress("loading compiled code")
+        kept = obtain_calibration(source, library, report_progress, paper=paper)
+        report_progress("drawing the overview")
         kept = with_overview(kept, None if library else _reference_of(set_file(Path(source))))
         kept.write(out)
         picture = out.with_name(f"{out.name}.png")
@@ -93,12 +93,14 @@ def _reference_of(source: Path) -> LinearFrame | None:
 def _certify(frame_set: Path, check: tuple[Path, ...], out: Path) -> int:
     """Measure the specimens and write the certificate."""
     described = load_frame_set(frame_set)
-    tell_of_compiling()
+    announce_compiling()
     from host_sync.certificate.certificate import certificate_of_frame_set, verdict_words
     from host_sync.report.writing import NO_BROWSER
 
-    with status_spinner() as tell:
-        certificate, pages = certificate_of_frame_set(described, check, out, tell, calibrator_for(None, tell))
+    with status_spinner() as report_progress:
+        certificate, pages = certificate_of_frame_set(
+            described, check, out, report_progress, calibrator_for(None, report_progress)
+        )
     for line in _lines(certificate):
         print_line(line)
     for one in certificate.specimens:
@@ -122,11 +124,15 @@ def _lines(certificate: Certificate) -> list[str]:
 
 # Calibrations as commands name them, and what is said of where each came from.
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 def calibrator_for(
-    named: Path | None, tell: Tell, facts: list[dict[str, object]] | None = None, *, paper: bool = False
+    named: Path | None,
+    report_progress: ReportProgress,
+    facts: list[dict[str, object]] | None = None,
+    *,
+    paper: bool = False,
 ) -> Calibrator:
     """Return the calibrator of a command: the named file, else the user's cache or the frames themselves.
 
@@ -148,14 +154,16 @@ def calibrator_for(
             facts.append(calibration_facts(kept, source))
 
     if named is None:
-        return Calibrator(CalibrationCache.of_user(), tell=tell, obtained=obtained, paper=paper)
+        return Calibrator(CalibrationCache.of_user(), report_progress=report_progress, obtained=obtained, paper=paper)
     if named.is_dir():
         raise CalibrationFileError(f"{named} is a folder: name a file that `retrosync calibrate` wrote")
-    tell("reading the calibration")
+    report_progress("reading the calibration")
     return Calibrator.of_file(named, obtained=obtained, paper=paper)
 
 
-def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bool = False) -> KeptCalibration:
+def obtain_calibration(
+    name: str, library: Path | None, report_progress: ReportProgress, *, paper: bool = False
+) -> KeptCalibration:
     """Return the calibration of that name: a calibration file, a frame set, a folder, or an id.
 
     library : folder of pulled calibrations, of which `name` is an id or its beginning or end
@@ -170,7 +178,9 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
     from host_sync.calibration_file.inputs import CalibrationCache
     from host_sync.calibration_file.kept_calibration import is_archive
 
-    calibrator = Calibrator(CalibrationCache.of_user(), tell=tell, obtained=say_source, paper=paper)
+    calibrator = Calibrator(
+        CalibrationCache.of_user(), report_progress=report_progress, obtained=say_source, paper=paper
+    )
     if library is not None:
         return calibrator.of_bundle(Library(library).find_calibration(name))
     path = set_file(Path(name))
@@ -181,7 +191,7 @@ def obtain_calibration(name: str, library: Path | None, tell: Tell, *, paper: bo
             )
         return calibrator.of_bundle(read_calibration(path))
     if is_archive(path):
-        tell("reading the calibration")
+        report_progress("reading the calibration")
         return Calibrator.of_file(path, obtained=say_source, paper=paper).named()
     return calibrator.of_frame_set(load_frame_set(path))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from device.command_line import Folder, print_json
 from device.io.atomic import check_replaceable
-from host_sync.cli.console import DONE, PARTLY, print_error, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, announce_compiling, print_error, print_line, status_spinner
 from host_sync.cli.measure import result_folders
 from host_sync.errors import ViewError
 from host_sync.library.library import Library, default_library
@@ -70,15 +70,15 @@ def compare_command(
         raise ViewError(f"{first} and {second} are one result: name an earlier and a later press")
     if out is not None:
         check_replaceable(out, "same_spot.json")  # before the work
-    with status_spinner() as tell:
-        tell_of_compiling()
-        tell("loading compiled code")
+    with status_spinner() as report_progress:
+        announce_compiling()
+        report_progress("loading compiled code")
         from host_sync.results.reader import read_result
         from host_sync.same_spot.comparing import compared, write_comparison
 
-        tell("reading both results")
+        report_progress("reading both results")
         surfaces = [read_result(folder, samples=False) for folder in folders]
-        tell("looking for the spot")
+        report_progress("looking for the spot")
         comparison = compared(surfaces[0], surfaces[1], near)
         if out is not None:
             write_comparison(comparison, out)
@@ -200,9 +200,9 @@ def mosaic_command(
             continue
         folders.append(found)
     check_replaceable(out, RECORD_FILE)  # before minutes of work
-    with status_spinner() as tell:
-        tell_of_compiling()
-        tell("loading compiled code")
+    with status_spinner() as report_progress:
+        announce_compiling()
+        report_progress("loading compiled code")
         from host_sync.mosaic.links import read_layout
         from host_sync.mosaic.presses import check_together, presses_of
         from host_sync.mosaic.stitch import stitch
@@ -211,7 +211,7 @@ def mosaic_command(
         presses = presses_of(folders, out, library, left_out)
         check_together(presses, left_out)
         known = None if layout is None else read_layout(layout, presses, within_mm)
-        record = stitch(presses, out, layout=known, left_out=left_out, tell=tell)
+        record = stitch(presses, out, layout=known, left_out=left_out, report_progress=report_progress)
     for sentence in record.unusable:
         print_error(f"left out: {sentence}", PARTLY)
     if json:

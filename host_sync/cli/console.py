@@ -102,10 +102,10 @@ _COMPILE_TIMES: Final[list[CompileTime]] = []
 """What measures the compiling of this run, once it was announced."""
 
 
-def tell_of_compiling() -> None:
+def announce_compiling() -> None:
     """Write one line to a terminal when this run will compile; not to a log or pipe.
 
-    `tell_compile_time` then says how long it took.
+    `report_compile_time` then says how long it took.
     """
     prune_cache()
     if sys.stderr.isatty() and not holds_kernels() and not _COMPILE_TIMES:
@@ -115,7 +115,7 @@ def tell_of_compiling() -> None:
         _COMPILE_TIMES.append(CompileTime())
 
 
-def tell_compile_time() -> None:
+def report_compile_time() -> None:
     """Write how long the compiling took that was announced, if any was."""
     while _COMPILE_TIMES:
         taken_s = _COMPILE_TIMES.pop().total_s

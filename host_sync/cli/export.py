@@ -279,8 +279,8 @@ def _described(folder: Path, kind: Kind | None, said: Said, field_mm: float | No
     if kind is None:
         kind = recognize(folder)
         print_line(f"{folder}: {WRITTEN_BY[kind]}")
-    with status_spinner() as tell:
-        tell("looking at the images")
+    with status_spinner() as report_progress:
+        report_progress("looking at the images")
         draft = read_folder(folder, kind, said)
         if field_mm is not None:
             said = replace(said, pixel_pitch_um=draft.pitch_of_field_um(field_mm))
@@ -355,8 +355,8 @@ def _show_balls(path: Path) -> None:
     from host_sync.frames.frame_set import load_frame_set
     from host_sync.importers.recognition import write_contact_sheet
 
-    with status_spinner() as tell:
-        tell("finding balls")
+    with status_spinner() as report_progress:
+        report_progress("finding balls")
         try:
             lines = write_contact_sheet(load_frame_set(path), path.with_name(f"{path.stem}-balls.png"))
         except (FrameSetError, KeyboardInterrupt):

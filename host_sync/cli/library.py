@@ -151,10 +151,10 @@ def _list_alike(library: Library, scan: str, count: int, *, json: bool) -> int:
     folder = Path(scan)
     if not (folder / RECORD_FILE).is_file():
         folder = library.newest_result(library.named(scan))
-    with status_spinner() as tell:
+    with status_spinner() as report_progress:
         from host_sync.likeness.search import alike
 
-        answer = alike(folder, library.root, count, tell)
+        answer = alike(folder, library.root, count, report_progress)
     failed = [f"not compared: {name}: {reason}" for name, reason in answer.unreadable]
     if answer.without_results:
         names = some_of(answer.without_results)

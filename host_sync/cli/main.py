@@ -27,7 +27,7 @@ from device.command_line import (
 )
 from device.errors import DeviceError
 from device.shutdown import signals_as_keyboard_interrupt
-from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, tell_compile_time
+from host_sync.cli.console import BAD_INPUT, CONNECTION, DONE, PARTLY, print_error, report_compile_time
 from host_sync.errors import HostError, SourceError
 
 # Every command with where its function is: a module is imported when its command is called, and not before.
@@ -299,7 +299,7 @@ def run(command: Callable[[], int | None]) -> int:
         with signals_as_keyboard_interrupt(signal.SIGTERM):
             result = command()
         sys.stdout.flush()
-        tell_compile_time()
+        report_compile_time()
     except SourceError as error:
         return print_error(error, CONNECTION)
     except (DeviceError, HostError) as error:

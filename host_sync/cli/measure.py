@@ -190,8 +190,8 @@ def _results_in(place: Path) -> list[Path]:
 
 def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = True) -> Iterator[Measurement | str]:
     """Yield the measurement of each folder in turn, or a sentence that says why it cannot be measured."""
-    with status_spinner() as tell:
-        tell("loading compiled code")
+    with status_spinner() as report_progress:
+        report_progress("loading compiled code")
         from host_sync.measurement.measure import measure_result
 
         for folder in folders:
@@ -199,7 +199,7 @@ def measured(folders: Sequence[Path | str], recipe: Recipe, *, samples: bool = T
                 yield folder
                 continue
             try:
-                yield measure_result(folder, recipe, tell, samples=samples)
+                yield measure_result(folder, recipe, report_progress, samples=samples)
             except (DeviceError, HostError) as error:
                 words = str(error)
                 yield words if words.startswith(str(folder)) else f"{folder}: {words}"

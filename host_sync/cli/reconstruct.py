@@ -22,10 +22,10 @@ from host_sync.cli.console import (
     BAD_INPUT,
     DONE,
     PARTLY,
+    announce_compiling,
     print_error,
     print_line,
     status_spinner,
-    tell_of_compiling,
 )
 from host_sync.cli.measure import chosen_recipe
 from host_sync.errors import FrameSetError, HostError
@@ -133,16 +133,16 @@ def reconstruct(
             "--cluster is for the scans of a library, and has workers of its own: use it with --library LIB"
         )
     order = Order(method, band, detail, force, [] if json else None, workers, cluster)
-    with status_spinner() as tell:
+    with status_spinner() as report_progress:
         if library is not None:
             outcomes = _reconstruct_library(
-                Library(library if cluster is None else library.resolve()), names, calibration, order, tell
+                Library(library if cluster is None else library.resolve()), names, calibration, order, report_progress
             )
         elif not names or out is None:
             raise FrameSetError("name the frame set's file: retrosync reconstruct FRAMESET.toml --out DIR")
         else:
             frame_set = load_frame_set(Path(names[0]), calibrates=calibration is None)
-            outcomes = _reconstruct_frame_set(frame_set, out, names[1:], calibration, order, tell)
+            outcomes = _reconstruct_frame_set(frame_set, out, names[1:], calibration, order, report_progress)
     if json:
         print_json({"calibrations": order.facts, "scans": outcomes})
     failed = [outcome for outcome in outcomes if outcome.reason is not None]
@@ -157,20 +157,20 @@ def _reconstruct_frame_set(
     names: Sequence[str],
     calibration: Path | None,
     order: Order,
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
 ) -> list[ScanOutcome]:
     check_output(out / "result.json", makes_folders=True)
-    tell("loading compiled code")
-    tell_of_compiling()
+    report_progress("loading compiled code")
+    announce_compiling()
     from host_sync.reconstruction.scans import reconstruct_frame_set
 
-    calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
+    calibrator = calibrator_for(calibration, report_progress, order.facts, paper=order.method == "paper")
     done, failures = reconstruct_frame_set(
         frame_set,
         out,
         order.method,
         names,
-        tell,
+        report_progress,
         order.band,
         force=order.force,
         detail=order.detail,
@@ -189,7 +189,7 @@ def _reconstruct_library(
     names: Sequence[str],
     calibration: Path | None,
     order: Order,
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
 ) -> list[ScanOutcome]:
     listing = library.scans()
     named = [library.named(name) for name in names] if names else listing.bundles
@@ -199,7 +199,7 @@ def _reconstruct_library(
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
     with nullcontext() if order.cluster is None else connected(order.cluster) as client:
-        return _reconstruct_scans(library, scans, failed, calibration, order, client, tell)
+        return _reconstruct_scans(library, scans, failed, calibration, order, client, report_progress)
 
 
 def _reconstruct_scans(
@@ -209,16 +209,22 @@ def _reconstruct_scans(
     calibration: Path | None,
     order: Order,
     client: Client | None,
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
 ) -> list[ScanOutcome]:
-    tell("loading compiled code")
-    tell_of_compiling()
+    report_progress("loading compiled code")
+    announce_compiling()
     from host_sync.batch.library_batch import ScanWork, reconstruct_all, reconstruct_on_cluster
     from host_sync.reconstruction.scans import LibraryReconstructor
 
-    calibrator = calibrator_for(calibration, tell, order.facts, paper=order.method == "paper")
+    calibrator = calibrator_for(calibration, report_progress, order.facts, paper=order.method == "paper")
     job = LibraryReconstructor(
-        library, order.method, tell, order.band, force=order.force, detail=order.detail, calibrator=calibrator
+        library,
+        order.method,
+        report_progress,
+        order.band,
+        force=order.force,
+        detail=order.detail,
+        calibrator=calibrator,
     )
     work = ScanWork(library.root, order.method, order.band, order.force, order.detail)
     if client is None:
@@ -227,7 +233,7 @@ def _reconstruct_scans(
         outcomes = reconstruct_on_cluster(scans, work, job, client)
     done = []
     for number, outcome in enumerate(outcomes, start=1):
-        tell(f"{number} of {len(scans)} scans")
+        report_progress(f"{number} of {len(scans)} scans")
         if outcome.reason is not None:
             failed.append(outcome)
             continue
@@ -275,14 +281,14 @@ def paper_figures(
     formats
         Any of png, pdf, svg.
     """
-    with status_spinner() as tell:
-        tell("loading compiled code")
-        tell_of_compiling()
+    with status_spinner() as report_progress:
+        report_progress("loading compiled code")
+        announce_compiling()
         from host_sync.evaluation import frames_to_draw, write_figures
 
-        calibrator = calibrator_for(calibration, tell, paper=True)
+        calibrator = calibrator_for(calibration, report_progress, paper=True)
         frames, known = frames_to_draw(name, Library(library) if library is not None else None, calibrator)
-        written = write_figures(frames, known, out, formats, tell)
+        written = write_figures(frames, known, out, formats, report_progress)
     for path in written:
         sys.stdout.write(f"{path}\n")
     return DONE
@@ -302,20 +308,22 @@ def watch_library(library: Path | None, recipe: Path | None, workers: int | None
     held = Library(library or default_library())
     held.require()
     chosen = chosen_recipe(recipe, {})
-    with status_spinner() as tell:
-        tell("loading compiled code")
-        tell_of_compiling()
+    with status_spinner() as report_progress:
+        report_progress("loading compiled code")
+        announce_compiling()
         from host_sync.batch.library_watch import LibraryWatch, only_watch
         from host_sync.reconstruction.scans import LibraryReconstructor
 
-        job = LibraryReconstructor(held, tell=tell, calibrator=calibrator_for(None, tell))
-        watch = LibraryWatch(held, job, chosen, workers, tell)
+        job = LibraryReconstructor(
+            held, report_progress=report_progress, calibrator=calibrator_for(None, report_progress)
+        )
+        watch = LibraryWatch(held, job, chosen, workers, report_progress)
         with only_watch(held):
             while True:
                 failed = _look(watch)
                 if once:
                     return PARTLY if failed else DONE
-                tell("waiting for scans")
+                report_progress("waiting for scans")
                 time.sleep(every_s)
 
 

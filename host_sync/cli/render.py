@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from device.command_line import Folder
 from device.io.atomic import check_output
-from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, print_error, print_line, progress, tell_of_compiling
+from host_sync.cli.console import BAD_INPUT, DONE, PARTLY, announce_compiling, print_error, print_line, progress
 from host_sync.errors import HostError, RenderError
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def render_command(
     check_output(
         out if contact_sheet or (len(entries) == 1 and out.suffix) else out / "picture.png", makes_folders=True
     )
-    tell_of_compiling()
+    announce_compiling()
     if contact_sheet:
         return _write_sheet(entries, still, across, out)
     if len(entries) == 1 and out.suffix:

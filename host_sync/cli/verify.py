@@ -84,8 +84,8 @@ def verify_command(
 
 def _verify(target: Library, partial: str | None, *, adopt: bool, json: bool) -> int:
     """Name what is lost, changed or unknown."""
-    with status_spinner() as tell:
-        found = verify_library(target, tell, fraction=1.0 if partial is None else _fraction(partial))
+    with status_spinner() as report_progress:
+        found = verify_library(target, report_progress, fraction=1.0 if partial is None else _fraction(partial))
     if json:
         added = {"added_to_record": add_to_record(target, found)} if adopt else {}
         print_json({"library": target.root, **{name: getattr(found, name) for name in found.__slots__}, **added})
@@ -137,9 +137,9 @@ def _repair(target: Library, sources: Sequence[str]) -> int:
     if not sources:
         raise HostError("name a card, folder, mirror or paired device to fetch from: retrosync verify --repair SOURCE")
     target.require()
-    with ExitStack() as stack, status_spinner() as tell:
+    with ExitStack() as stack, status_spinner() as report_progress:
         opened = [stack.enter_context(open_source(source, known_devices())) for source in sources]
-        report = repair(target, opened, tell)
+        report = repair(target, opened, report_progress)
     print_line(f"{len(report.repaired)} repaired, {len(report.failed)} not: {target.root}")
     for failure in report.failed:
         print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)
@@ -153,11 +153,11 @@ def _mirror(target: Library, destination: str, *, rehash: bool) -> int:
     from host_sync.offload.mirror import SftpPlace, mirror_to_folder, mirror_to_sftp
 
     place = SftpPlace.parse(destination)
-    with status_spinner() as tell:
+    with status_spinner() as report_progress:
         if place is None:
-            report = mirror_to_folder(target, Path(destination), tell, verify=rehash)
+            report = mirror_to_folder(target, Path(destination), report_progress, verify=rehash)
         else:
-            report = mirror_to_sftp(target, place, tell, verify=rehash)
+            report = mirror_to_sftp(target, place, report_progress, verify=rehash)
     print_line(f"{len(report.copied)} copied and verified, {len(report.already_there)} already there: {destination}")
     for failure in report.failed:
         print_error(f"{failure.bundle_id}: {failure.reason}", PARTLY)

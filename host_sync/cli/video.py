@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from device.command_line import Folder
 from device.io.atomic import check_replaceable
 from host_sync.cli.calibrate import obtain_calibration
-from host_sync.cli.console import DONE, PARTLY, print_error, print_line, progress, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, PARTLY, announce_compiling, print_error, print_line, progress, status_spinner
 from host_sync.cli.reconstruct import MethodName
 from host_sync.cli.view import serve_page
 from host_sync.errors import FrameSetError
@@ -82,20 +82,20 @@ def video(
     calibration = calibration or own
     if calibration is None:
         raise FrameSetError("--calibration is missing: only a scan's movie names its own")
-    with progress("counts") as tell:
-        tell_of_compiling()
-        tell("loading compiled code")
+    with progress("counts") as report_progress:
+        announce_compiling()
+        report_progress("loading compiled code")
         from host_sync.results.files import RECORD_FILE
         from host_sync.video.frame_solver import FrameSolver
         from host_sync.video.reconstruct import SequenceOptions, reconstruct_sequence
 
         check_replaceable(out, RECORD_FILE)  # before minutes of work
-        kept = obtain_calibration(calibration, library, tell, paper=method == "paper")
+        kept = obtain_calibration(calibration, library, report_progress, paper=method == "paper")
         solver = FrameSolver.of(kept, method, encoding, weighted=weighted, force=force)
         names = printable(sequence.name), printable(calibration)
         order = SequenceOptions(printable(sequence.resolve().name), rate_hz, mp4, gif, sigma, slip, *names)
-        report = reconstruct_sequence(frames, kept.calibration, solver, out, order, tell)
-    return _tell_report(report, out)
+        report = reconstruct_sequence(frames, kept.calibration, solver, out, order, report_progress)
+    return _print_report(report, out)
 
 
 def _opened(sequence: Path, library: Path | None) -> tuple[FrameSequence, str | None]:
@@ -106,7 +106,7 @@ def _opened(sequence: Path, library: Path | None) -> tuple[FrameSequence, str | 
     return BundleMovie(bundle), bundle.record.calibration_id
 
 
-def _tell_report(report: SequenceReport, out: Path) -> int:
+def _print_report(report: SequenceReport, out: Path) -> int:
     for failure in report.failures:
         print_error(failure.reason, PARTLY)
     for doubt in report.doubts:
@@ -165,9 +165,9 @@ def live_command(
     browser
         Open the page in the desktop's browser.
     """
-    with status_spinner() as tell:
-        tell_of_compiling()
-        tell("loading compiled code")
+    with status_spinner() as report_progress:
+        announce_compiling()
+        report_progress("loading compiled code")
         from host_sync.video.frame_solver import FrameSolver
         from host_sync.video.reconstruct import sequence_doubts
         from host_sync.video.sensors import Recorder
@@ -177,10 +177,10 @@ def live_command(
         from host_sync.viewer.live import LiveView
         from host_sync.viewer.serving import listening
 
-        kept = obtain_calibration(calibration, library, tell, paper=method == "paper")
+        kept = obtain_calibration(calibration, library, report_progress, paper=method == "paper")
         solver = FrameSolver.of(kept, method, encoding, force=force)
         recorder = Recorder(record, printable(calibration))
-        live = open_live(source, solver, newest=True, sigma=sigma, tap=recorder.take, tell=tell)
+        live = open_live(source, solver, newest=True, sigma=sigma, tap=recorder.take, report_progress=report_progress)
         doubts = tuple(doubt.sentence for doubt in sequence_doubts(kept.calibration, solver))
         view = LiveView(printable(source), live, recorder, solver, doubts)
     try:

@@ -20,7 +20,7 @@ from cyclopts import Parameter
 
 from device.command_line import Folder
 from host_sync.cli.calibrate import calibrator_for
-from host_sync.cli.console import DONE, print_error, print_line, status_spinner, tell_of_compiling
+from host_sync.cli.console import DONE, announce_compiling, print_error, print_line, status_spinner
 from host_sync.errors import HostError
 from host_sync.kernels.cache import holds_kernels
 from host_sync.library.library import Library, default_library
@@ -139,7 +139,7 @@ def demo_command(
     began_s = time.monotonic()
     card, library = out / "card", Library(out / "library")
     handheld = ("--board", board, "--store", str(card))
-    tell_of_compiling()
+    announce_compiling()
     with _compiling_meanwhile():
         print_line("The handheld is calibrated with twelve presses of a ball (simulated).")
         _retroscan(*handheld, "calibrate")
@@ -150,9 +150,9 @@ def demo_command(
     if report.failed:
         raise HostError(f"not pulled: {report.failed}")
     print_line("The workstation has pulled the scans and verified every byte. It calibrates and reconstructs.")
-    with status_spinner() as tell:
-        rows = _reconstruct_all(library, tell)
-        tell("drawing")
+    with status_spinner() as report_progress:
+        rows = _reconstruct_all(library, report_progress)
+        report_progress("drawing")
         from host_sync.render.picture_file import write_story
 
         picture = out / DEMO_PICTURE
@@ -193,7 +193,7 @@ def _retroscan(*arguments: str) -> None:
             raise HostError(lines[-1].removeprefix("retroscan: "))
 
 
-def _reconstruct_all(library: Library, tell: Callable[[str], None]) -> list[StoryRow]:
+def _reconstruct_all(library: Library, report_progress: Callable[[str], None]) -> list[StoryRow]:
     """Reconstruct every scan of the library; one row of the picture for each."""
     import cv2
     import numpy as np
@@ -204,7 +204,9 @@ def _reconstruct_all(library: Library, tell: Callable[[str], None]) -> list[Stor
     from host_sync.render.picture_file import StoryRow
     from host_sync.results.doubts import stated_doubts
 
-    job = LibraryReconstructor(library, tell=tell, calibrator=calibrator_for(None, tell))
+    job = LibraryReconstructor(
+        library, report_progress=report_progress, calibrator=calibrator_for(None, report_progress)
+    )
     rows = []
     for scan in sorted(library.scans().bundles, key=lambda one: one.scan_id):
         found, folder = job.run(scan)

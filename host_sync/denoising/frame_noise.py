@@ -36,7 +36,7 @@ BALANCING_ROUNDS: Final = 8
 MIN_PIXELS: Final = 200
 MAX_SAMPLES: Final = 60_000
 MAX_FRAMES: Final = 6
-"""So many frames tell how noise is spread over the levels."""
+"""Frames from which the noise of each level is estimated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +166,7 @@ MAX_MISREAD: Final = 0.03
 
 TERM_PENALTY: Final = 1e-6
 PLACE_PENALTY: Final = 0.01
-"""Of terms that change over the field, of -1 to 1: a ball alone does not tell them."""
+"""Of terms that change over the field, of -1 to 1: a ball alone does not determine them."""
 
 STEEPEST_PERCENT: Final = 99.0
 

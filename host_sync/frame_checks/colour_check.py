@@ -32,7 +32,7 @@ LARGEST_GAIN: Final = 4.0
 """Largest gain in standard deviations of the presses' own gains, where these differ more than that."""
 
 MIN_REST: Final = 0.1
-"""Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat tell nothing."""
+"""Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat prove nothing."""
 
 SAMPLES_ALONG: Final = 256
 """The frame is looked at with at most so many rows and columns, about; fewer will do where frames follow each other."""

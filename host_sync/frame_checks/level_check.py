@@ -57,7 +57,7 @@ class LevelModel:
 
     low, high : float64 arrays of shape (3,), log levels that are allowed
     common : lowest and highest allowed mean of the three
-    response : to slope, None where the presses do not tell it
+    response : to slope, None where the presses do not show it
     """
 
     low: Float64Array

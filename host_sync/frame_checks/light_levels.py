@@ -35,7 +35,7 @@ MIN_AGREEING: Final = 0.08
 
 CANDIDATES: Final = 6
 GENTLE: Final = 0.25
-"""Slopes up to which balls tell the light's response to slope."""
+"""Slopes up to which the light's response to slope is fitted."""
 
 ROUNDS: Final = 12
 CAUCHY: Final = 2.4

@@ -127,7 +127,7 @@ MAX_SHEET_PRESSES: Final = 100
 """A sheet of more would show nothing of each."""
 
 SAME_RADIUS_FACTOR: Final = 1.25
-"""Up to this factor another radius is the same one: contacts do not tell them apart."""
+"""Up to this factor another radius is the same one: contacts do not distinguish them."""
 
 
 def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:

@@ -317,7 +317,7 @@ LOW_SHARE: Final = 0.25
 
 MIN_SINKING_CELLS: Final = 200
 MIN_CORRELATION: Final = 0.8
-"""Of heights and bends, below which they tell nothing."""
+"""Of heights and bends, below which they mean nothing."""
 
 ROUNDS: Final = 5
 OUTLIER: Final = 2.5

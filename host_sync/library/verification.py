@@ -68,7 +68,7 @@ class Verification:
 
 
 def verify_library(
-    library: Library, tell: Callable[[str], None] = lambda _: None, *, fraction: float = 1.0
+    library: Library, report_progress: Callable[[str], None] = lambda _: None, *, fraction: float = 1.0
 ) -> Verification:
     """Compare a library with its intake record, and hash the files of its bundles.
 
@@ -89,7 +89,7 @@ def verify_library(
     damaged, unlisted_files, sound = broken, list[Path](), 0
     chosen = bundles if fraction >= 1.0 else _part(library, bundles, fraction)
     for bundle in chosen:
-        tell(bundle.bundle_id)
+        report_progress(bundle.bundle_id)
         try:
             _check(bundle, history.held.get(_key(bundle.directory)))
             sound += 1

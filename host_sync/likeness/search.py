@@ -108,11 +108,13 @@ def nearest(row: Float32Array, rows: Float32Array, count: int) -> list[tuple[int
     return [(int(at), float(distances[at])) for at in np.argsort(distances, kind="stable")[:count]]
 
 
-def alike(result: Path, library: Path, count: int = 5, tell: Callable[[str], None] = lambda _: None) -> Answer:
+def alike(
+    result: Path, library: Path, count: int = 5, report_progress: Callable[[str], None] = lambda _: None
+) -> Answer:
     """Return the results of a library that look most like one, each scan with its newest; the index is updated first.
 
     result : folder of the result that is asked for; it is not among the answers
-    tell : receives what is done at the moment
+    report_progress : receives what is done at the moment
 
     Raises
     ------
@@ -125,7 +127,7 @@ def alike(result: Path, library: Path, count: int = 5, tell: Callable[[str], Non
     """
     asked = describe_result(read_result(result, samples=False))
     gaps = Gaps([], [])
-    entries = updated(library, tell, gaps)
+    entries = updated(library, report_progress, gaps)
     if not (entries or gaps.unreadable or gaps.without_results):
         raise LibraryError(f"{library}: holds no scans: pull some first")
     own, root = result.resolve(), library.resolve()
@@ -153,7 +155,9 @@ class Gaps:
     without_results: list[str]
 
 
-def updated(library: Path, tell: Callable[[str], None] = lambda _: None, gaps: Gaps | None = None) -> dict[str, Entry]:
+def updated(
+    library: Path, report_progress: Callable[[str], None] = lambda _: None, gaps: Gaps | None = None
+) -> dict[str, Entry]:
     """Return every entry of a library's index after new and changed results were described and lost ones dropped.
 
     Keys are folders relative to the library. Every entry is described again where the index is damaged.
@@ -172,7 +176,7 @@ def updated(library: Path, tell: Callable[[str], None] = lambda _: None, gaps: G
         for folder, stamp in _newest_results(library, gaps.without_results):
             entry = held.get(folder)
             if entry is None or entry.stamp != stamp:
-                tell(f"describing {_scan(folder)}")
+                report_progress(f"describing {_scan(folder)}")
                 try:
                     entry = _described(library / folder, stamp)
                 except (DeviceError, HostError) as error:

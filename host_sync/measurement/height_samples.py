@@ -191,7 +191,7 @@ class HeightSamples:
     def noisier(self) -> Iterator[Float32Array]:
         """Yield the height map with its pixel noise once more, `NOISE_DRAWS` times: float32 arrays of shape (H, W), µm.
 
-        None of raw detail whose noise the result does not tell, none of shrunk detail.
+        None of raw detail whose noise the result does not state, none of shrunk detail.
         """
         rng = np.random.default_rng(SEED + 2)
         if self._pixel_noise is not None:

@@ -187,7 +187,7 @@ def _numbers(one: Measurand, z_um: Float32Array) -> Numbers:
 
 
 def measure_result(
-    folder: Path, recipe: Recipe, tell: Callable[[str], None] = lambda _: None, *, samples: bool = True
+    folder: Path, recipe: Recipe, report_progress: Callable[[str], None] = lambda _: None, *, samples: bool = True
 ) -> Measurement:
     """Return the measurement of a result folder, or of another instrument's file.
 
@@ -200,12 +200,14 @@ def measure_result(
     MeasurementError
         A measurand of the recipe is not found on it.
     """
-    tell(f"{folder.name}: reading")
+    report_progress(f"{folder.name}: reading")
     surface = read_foreign(folder) if folder.is_file() else read_result(folder)
-    return measure(surface if samples else replace(surface, samples_um=None), recipe, tell)
+    return measure(surface if samples else replace(surface, samples_um=None), recipe, report_progress)
 
 
-def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] = lambda _: None) -> Measurement:
+def measure(
+    surface: ResultSurface, recipe: Recipe, report_progress: Callable[[str], None] = lambda _: None
+) -> Measurement:
     """Return the measurement of a surface; errors as for `measure_result`."""
     smooth = surface.with_detail(recipe.detail or "shrunk")
     surface = surface.with_detail(recipe.detail or "raw")
@@ -224,7 +226,7 @@ def measure(surface: ResultSurface, recipe: Recipe, tell: Callable[[str], None] 
     squares = [np.zeros_like(trace) for trace in found.traces]
     spread = LevelSpread(smooth.height.z_um)
     for number, (allowed, smoother) in enumerate(_drawn(samples, surface, smooth, recipe), start=1):
-        tell(f"{surface.folder.name}: sample {number} of {len(samples)}")
+        report_progress(f"{surface.folder.name}: sample {number} of {len(samples)}")
         try:
             heights = (allowed.z_um, smoother.z_um)
             rough_um, smooth_um = heights if level is None else (level.apply(z_um) for z_um in heights)

@@ -257,13 +257,13 @@ def blend(
     levels: Levels,
     canvas: Canvas,
     folder: Path,
-    tell: Callable[[int], None] = lambda _: None,
+    report_progress: Callable[[int], None] = lambda _: None,
 ) -> Blend:
     """Return the mosaic of the presses.
 
     levels : planes of these presses, in their order
     folder : for the sums
-    tell : is called with the number of presses that are done
+    report_progress : is called with the number of presses that are done
 
     Raises
     ------
@@ -292,7 +292,7 @@ def blend(
             sigma[window] += trust * np.where(known, sigma_um, np.float32(0.0))
             level[window] += trust * np.where(known, variance, np.float32(0.0))
             extrapolated[window] |= (beyond & known).astype(np.uint8)
-        tell(number + 1)
+        report_progress(number + 1)
     covered = 0
     for start in range(0, canvas.shape[0], TILE_ROWS):
         rows = slice(start, start + TILE_ROWS)

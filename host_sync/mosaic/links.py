@@ -162,7 +162,7 @@ class Link:
     agreement : correlation of the slopes over the overlap
     overlap_share : overlap as a fraction of the first press
     residual : mean squared slope difference over a tile, the median of all tiles
-    stretch : by how much the second is larger than the first, relative; NaN if the overlap does not tell
+    stretch : by how much the second is larger than the first, relative; NaN if the overlap does not show it
     refused : why it is no link, one clause; empty when it may be one
     """
 
@@ -195,7 +195,9 @@ class Link:
         return self.agreement * float(np.sqrt(self.overlap_share))
 
 
-def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int], None] = lambda _: None) -> list[Link]:
+def verified(
+    presses: list[Small], wanted: list[Candidate], report_progress: Callable[[int], None] = lambda _: None
+) -> list[Link]:
     """Return the links that candidates lead to, refused ones too.
 
     wanted : best first; a press whose last candidates all failed is not looked at again for another such press
@@ -203,7 +205,7 @@ def verified(presses: list[Small], wanted: list[Candidate], tell: Callable[[int]
     failures = np.zeros(len(presses), int)
     found = []
     for number, candidate in enumerate(wanted):
-        tell(number + 1)
+        report_progress(number + 1)
         pair = [candidate.first, candidate.second]
         if failures[pair].min() >= PATIENCE:
             continue

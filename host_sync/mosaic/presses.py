@@ -196,12 +196,12 @@ def small_of(press: Press) -> Small:
     return Small(z_um, sigma_um, step, press.shape, fields.sigma_um is not None)
 
 
-def read_small(presses: Sequence[Press], tell: Callable[[str], None]) -> tuple[dict[int, Small], list[str]]:
+def read_small(presses: Sequence[Press], report_progress: Callable[[str], None]) -> tuple[dict[int, Small], list[str]]:
     """Return the presses that can be used, reduced, by number; and a sentence for each other one."""
     small: dict[int, Small] = {}
     left_out: list[str] = []
     for number, press in enumerate(presses):
-        tell(f"reading: {number + 1} of {len(presses)}")
+        report_progress(f"reading: {number + 1} of {len(presses)}")
         try:
             found = small_of(press)
             copied = next((other for other, one in small.items() if are_copies(one.z_um, found.z_um)), None)

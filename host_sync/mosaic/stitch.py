@@ -63,7 +63,7 @@ def repeats_px(presses: list[Small]) -> float | None:
     return min(found) if 2 * len(found) >= len(presses) and found else None
 
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 def stitch(
@@ -72,7 +72,7 @@ def stitch(
     *,
     layout: Layout | None = None,
     left_out: Sequence[str] = (),
-    tell: Tell = lambda _: None,
+    report_progress: ReportProgress = lambda _: None,
 ) -> MosaicRecord:
     """Return the mosaic of the presses, written to the directory `out` as a result; returns its record.
 
@@ -86,36 +86,43 @@ def stitch(
         The place cannot be written; what stood there stands.
     """
     check_together(presses, left_out)
-    small, unread = read_small(presses, tell)
+    small, unread = read_small(presses, report_progress)
     unusable = (*left_out, *unread)
     presses = [presses[number] for number in small]
     check_together(presses, unusable)
     if layout is not None:
         layout = Layout(layout.places_px[list(small)], layout.within_px)
-    plan = _plan(presses, list(small.values()), layout, tell)
+    plan = _plan(presses, list(small.values()), layout, report_progress)
     numbers = sorted(plan.places)
     members = [presses[number] for number in numbers]
     places = [plan.places[number] for number in numbers]
     canvas = canvas_of(places, [press.shape for press in members])
     with atomic_directory(out, RECORD_FILE) as folder:
         blended = blend(
-            members, places, plan.levels, canvas, folder, lambda done: tell(f"blending: {done} of {len(members)}")
+            members,
+            places,
+            plan.levels,
+            canvas,
+            folder,
+            lambda done: report_progress(f"blending: {done} of {len(members)}"),
         )
-        tell("writing")
+        report_progress("writing")
         record = mosaic_record(out.name, presses, plan, canvas, blended.covered, unusable)
         write_mosaic(folder, out.name, members, record, canvas, blended)
     return record
 
 
-def planned(presses: list[Press], *, layout: Layout | None = None, tell: Tell = lambda _: None) -> Plan:
+def planned(
+    presses: list[Press], *, layout: Layout | None = None, report_progress: ReportProgress = lambda _: None
+) -> Plan:
     """Return where the presses lie and how they are levelled; errors as for `stitch`."""
     check_together(presses)
-    return _plan(presses, [small_of(press) for press in presses], layout, tell)
+    return _plan(presses, [small_of(press) for press in presses], layout, report_progress)
 
 
-def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell: Tell) -> Plan:
+def _plan(presses: list[Press], small: list[Small], layout: Layout | None, report_progress: ReportProgress) -> Plan:
     """Return the plan of presses that were read."""
-    tell("looking for overlaps")
+    report_progress("looking for overlaps")
     period_px = repeats_px(small)
     if period_px is not None and layout is None:
         period_mm = period_px * presses[0].record.pixel_pitch_um * 1e-3
@@ -124,13 +131,13 @@ def _plan(presses: list[Press], small: list[Small], layout: Layout | None, tell:
             "where the presses are, closer than half of that"
         )
     wanted = candidates(small, layout)
-    links = verified(small, wanted, lambda done: tell(f"registering: {done} of {len(wanted)}"))
+    links = verified(small, wanted, lambda done: report_progress(f"registering: {done} of {len(wanted)}"))
     good = [link for link in links if not link.refused]
     if not good and any(link.refused == RIVALLED for link in links):
         raise MosaicError("the presses agree at several places, as a pattern repeats: say where they are with --layout")
     if not good:
         raise MosaicError("no two presses overlap with one relief: press with a third of the field in common")
-    tell("adjusting")
+    report_progress("adjusting")
     reach_px = 0.5 * float(np.hypot(*presses[0].shape))
     found = adjusted(good, len(presses), reach_px)
     known = {number: place for number, place in enumerate(found.places) if place is not None}

@@ -67,7 +67,7 @@ class SftpPlace:
 
 
 def mirror_to_folder(
-    library: Library, destination: Path, tell: Callable[[str], None], *, verify: bool = False
+    library: Library, destination: Path, report_progress: Callable[[str], None], *, verify: bool = False
 ) -> MirrorReport:
     """Copy what a library on another disk lacks.
 
@@ -82,14 +82,16 @@ def mirror_to_folder(
     if destination.resolve() == library.root.resolve():
         raise HostError(f"{destination}: is the library itself: name another folder")
     source = DirectorySource(library.root)
-    report = pull(source, Library(destination), lambda state: tell(state.bundle_id), verify=verify, trust_record=True)
+    report = pull(
+        source, Library(destination), lambda state: report_progress(state.bundle_id), verify=verify, trust_record=True
+    )
     if report.lost is not None:
         raise SourceError(report.lost)
     return MirrorReport(report.copied, report.already_there, report.failed)
 
 
 def mirror_to_sftp(
-    library: Library, place: SftpPlace, tell: Callable[[str], None], *, verify: bool = False
+    library: Library, place: SftpPlace, report_progress: Callable[[str], None], *, verify: bool = False
 ) -> MirrorReport:
     """Copy what a folder on an SFTP server lacks; each file is read back from there and hashed.
 
@@ -102,7 +104,7 @@ def mirror_to_sftp(
     """
     bundles = library.bundles().bundles
     try:
-        return asyncio.run(_mirror(bundles, place, tell, verify=verify))
+        return asyncio.run(_mirror(bundles, place, report_progress, verify=verify))
     except (asyncssh.Error, OSError) as error:
         raise SourceError(
             f"sftp://{place.host}{place.path}: {str(error) or 'no answer'}: check address and key"
@@ -110,7 +112,7 @@ def mirror_to_sftp(
 
 
 async def _mirror(
-    bundles: Sequence[AnyBundle], place: SftpPlace, tell: Callable[[str], None], *, verify: bool
+    bundles: Sequence[AnyBundle], place: SftpPlace, report_progress: Callable[[str], None], *, verify: bool
 ) -> MirrorReport:
     copied, there, failed = list[str](), list[str](), list[PullFailure]()
     options = {} if place.user is None else {"username": place.user}
@@ -123,7 +125,7 @@ async def _mirror(
         for kind in MANIFESTS:
             await client.makedirs(f"{place.path}/{kind}", exist_ok=True)
         for bundle in bundles:
-            tell(bundle.bundle_id)
+            report_progress(bundle.bundle_id)
             try:
                 done = await _mirror_one(client, bundle, place.path, verify=verify)
                 (copied if done else there).append(bundle.bundle_id)
@@ -209,7 +211,9 @@ class RepairReport:
     before: Verification
 
 
-def repair(library: Library, sources: Sequence[Source], tell: Callable[[str], None] = lambda _: None) -> RepairReport:
+def repair(
+    library: Library, sources: Sequence[Source], report_progress: Callable[[str], None] = lambda _: None
+) -> RepairReport:
     """Fetch every lost or damaged bundle again; the damaged copy moves to `set-aside`, its results stay with the scan.
 
     A bundle is only accepted with the manifest that the library's intake record names.
@@ -220,12 +224,12 @@ def repair(library: Library, sources: Sequence[Source], tell: Callable[[str], No
         The library cannot be read or written.
     """
     with library.writing():
-        before = verify_library(library, tell)
+        before = verify_library(library, report_progress)
         repaired, failed = [], []
         for bundle in (*before.lost, *before.damaged):
             kind: BundleKind = "scans" if bundle.directory.parent.name == "scans" else "calibrations"
             name = bundle.directory.name
-            tell(name)
+            report_progress(name)
             reasons = [bundle.reason]
             for source in sources:
                 try:

@@ -51,7 +51,7 @@ class PullProgress:
     total_bytes: int
 
 
-Tell = Callable[[PairedDevice, PullProgress], None]
+ReportProgress = Callable[[PairedDevice, PullProgress], None]
 
 
 def pull(
@@ -268,7 +268,7 @@ def sync(
     library: Library,
     devices: PairedDevices,
     open_device: Opener,
-    tell: Tell,
+    report_progress: ReportProgress,
     *,
     verify: bool = False,
 ) -> list[PullReport | HostError | DeviceError]:
@@ -284,7 +284,9 @@ def sync(
 
     def one(device: PairedDevice) -> PullReport | HostError | DeviceError:
         try:
-            return sync_one(device, library, devices, open_device, lambda state: tell(device, state), verify=verify)
+            return sync_one(
+                device, library, devices, open_device, lambda state: report_progress(device, state), verify=verify
+            )
         except (HostError, DeviceError) as error:
             return error
 
@@ -297,13 +299,13 @@ def sync_one(
     library: Library,
     devices: PairedDevices,
     open_device: Opener,
-    tell: Callable[[PullProgress], None],
+    report_progress: Callable[[PullProgress], None],
     *,
     verify: bool = False,
 ) -> PullReport:
     """Pull from one device into a library that the caller holds, and store the outcome and its clock's offset."""
     with open_device(device) as source:
-        report = pull_into(library, source, tell, ReceiptWriter(this_host(), utc_now), verify=verify)
+        report = pull_into(library, source, report_progress, ReceiptWriter(this_host(), utc_now), verify=verify)
         offset_s = None if report.lost else source.clock_offset_s()
     devices.save_sync_state(
         SyncState(

@@ -97,7 +97,7 @@ def reconstruct(
     """Return the surface that a frame shows, by `method` or the one that the calibration's held-out balls prefer.
 
     force : reconstruct a frame that the calibration cannot explain too; what speaks against it stays in `warnings`
-    detail : of the height map and its slopes; raw where the calibration could not tell noise from detail
+    detail : of the height map and its slopes; raw where the calibration could not separate noise from detail
     sequence : frames of each light alone, of the same press: they show where a light is hidden
     keep_noise : apply no prior that skin rests, as an instrument's certificate asks, which measures noise
 

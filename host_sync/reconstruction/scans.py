@@ -89,7 +89,7 @@ def reconstruct_frame_set(
     out: Path,
     method: Method | None = None,
     names: Sequence[str] = (),
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     band: DetailBand | None = None,
     *,
     force: bool = False,
@@ -112,7 +112,7 @@ def reconstruct_frame_set(
     """
     check_replaceable(out / CALIBRATION_FOLDER, REPORT_FILE)  # before minutes of work
     chosen_scans(frame_set, names)
-    kept = (calibrator or Calibrator(tell=tell)).of_frame_set(frame_set)
+    kept = (calibrator or Calibrator(report_progress=report_progress)).of_frame_set(frame_set)
     _check_pixels(frame_set, kept)
     scans = chosen_scans(frame_set.scaled_as(kept.facts.full_scale).with_marks(kept.facts.marks_px), names)
     kept.write_report(out / CALIBRATION_FOLDER)
@@ -120,7 +120,7 @@ def reconstruct_frame_set(
     done: dict[str, tuple[str, ...]] = {}
     failures = []
     for scan in scans:
-        tell(f"{scan.name}: slopes and height")
+        report_progress(f"{scan.name}: slopes and height")
         try:
             reconstruction = reconstruct(
                 read_frame(scan.frame), calibration, scan.frame.name, method, force=force, detail=detail
@@ -158,7 +158,7 @@ class LibraryReconstructor:
     ----------
     library : where scans, calibrations and results lie
     method : the method for every scan; None takes the one that each calibration's held-out balls prefer
-    tell : is given a few words as each step begins
+    report_progress : is given a few words as each step begins
     band : of the detail that is written beside each height map, if any
     force : reconstruct scans too that their calibration cannot explain
     detail : of the height maps
@@ -169,7 +169,7 @@ class LibraryReconstructor:
         self,
         library: Library,
         method: Method | None = None,
-        tell: Callable[[str], None] = lambda _: None,
+        report_progress: Callable[[str], None] = lambda _: None,
         band: DetailBand | None = None,
         *,
         force: bool = False,
@@ -178,11 +178,11 @@ class LibraryReconstructor:
     ) -> None:
         self._library = library
         self._method = method
-        self._tell = tell
+        self._report_progress = report_progress
         self._band = band
         self._force = force
         self._detail = detail
-        self._calibrator = calibrator or Calibrator(tell=tell)
+        self._calibrator = calibrator or Calibrator(report_progress=report_progress)
         self._reported: set[str] = set()
 
     def run(
@@ -205,7 +205,7 @@ class LibraryReconstructor:
         kept = self.calibration_of(scan)
         calibration = kept.calibration
         name = scan.scan_id
-        self._tell(f"{name[-10:]}: slopes and height")
+        self._report_progress(f"{name[-10:]}: slopes and height")
         chosen = method or self._method
         frame = scan.lit_frame()
         sequence = read_light_sequence(scan)
@@ -221,7 +221,7 @@ class LibraryReconstructor:
         if checks := _exposure_checks(scan, sequence, uses_single_lights=reconstruction.method == "direct"):
             reconstruction = replace(reconstruction, frame_checks=(*reconstruction.frame_checks, *checks))
         folder = folder or self._library.result_folder(scan, version("retrograph"), calibration.calibration_id)
-        self._tell(f"{name[-10:]}: results")
+        self._report_progress(f"{name[-10:]}: results")
         facts = {"scan_id": name, "calibration_bundle": kept.facts.bundle_id, "gel_id": scan.record.gel_id}
         write_result(folder, reconstruction, calibration, name, facts, self._band)
         return reconstruction, folder

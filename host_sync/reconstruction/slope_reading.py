@@ -110,7 +110,7 @@ class Meanwhile:
     """Results on a frame that do not depend on its correction, and are computed beside it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
-    strange : as `strange_blocks` returns it; None of other lights than the first three, which tell it for all
+    strange : as `strange_blocks` returns it; None of other lights than the first three, whose pixels are those of all
     """
 
     raw: GradientField | None
@@ -137,7 +137,7 @@ class Meanwhile:
 class ChannelReading:
     """Slopes from three channels of a frame.
 
-    raw, intensity : as seen, and with its noise shrunk where the calibration can tell noise from detail
+    raw, intensity : as seen, and with its noise shrunk where the calibration can separate noise from detail
     gradients : slopes of `intensity`, corrected
     correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method and
         where held-out balls do not confirm the model

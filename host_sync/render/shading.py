@@ -243,7 +243,7 @@ _DIVERGING: Final = (
     (206, 116, 48),
     (122, 52, 8),
 )
-"""Blue below zero, white at zero, orange above: hues that everyone can tell apart."""
+"""Blue below zero, white at zero, orange above: hues that everyone can distinguish."""
 
 
 def palettes() -> dict[str, list[list[int]]]:

@@ -174,13 +174,13 @@ CLOSE_WIDTHS: Final = 0.15
 """Standard deviation, in widths of the field, of the Gaussian by which balls count for a place near them."""
 
 MIN_PLACES: Final = 4
-"""Balls that tell what is common to all, and what is not."""
+"""Balls from which what is common to all, and what is not, is estimated."""
 
 FAR_SHARE: Final = 0.02
 """Smallest weight of a ball, however far it is."""
 
 GENTLE_DEG: Final = 10.0
-"""Bands below are one: of single degrees noise and centres tell more than gains."""
+"""Bands below are one: of single degrees noise and centres weigh more than gains."""
 
 
 def gains_of_ball(
@@ -189,7 +189,7 @@ def gains_of_ball(
     """Return the error of the gain in every band of tilt, and its variance; both float64 arrays of shape (bands,).
 
     Bands up to `GENTLE_DEG` are read as one. Bands that a ball does not show have the gain of those next to them, NaN
-    where it shows none; the variance is NaN where fewer than two sectors tell it.
+    where it shows none; the variance is NaN where fewer than two sectors show it.
 
     slope : errors of slopes, float64 array of shape (2, h, w)
     truth : true slopes, likewise

@@ -337,7 +337,7 @@ def _normals(rng: np.random.Generator, count: int) -> Float32Array:
     """Return random numbers for every sample, mean 0 and variance 1: float32 array of shape (SAMPLES, count).
 
     Over the samples the first SAMPLES - 1 columns have exactly that mean and variance, and no correlation: of what errs
-    over the whole field at once, 16 independent draws would tell σ to 18 % only.
+    over the whole field at once, 16 independent draws would give σ to 18 % only.
     """
     normal = rng.standard_normal((SAMPLES, count))
     some = min(count, SAMPLES - 1)

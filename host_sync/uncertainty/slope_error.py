@@ -104,7 +104,7 @@ def measure_slope_error(
 
     What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
     fit's replicas say at every pixel how much more that is. What corrects slopes over cells is judged by balls that it
-    was not fitted to; gains are those of all balls, for what these do not tell of a gain its folds say in every frame.
+    was not fitted to; gains are those of all balls, for what these do not show of a gain its folds show in every frame.
 
     over_cells : what corrects the map's slopes over cells; None where nothing does
     """

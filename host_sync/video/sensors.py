@@ -48,7 +48,7 @@ TWIN_RATE_HZ: Final = 30.0
 
 _CAMERA: Final = re.compile(r"(?:/dev/video)?(\d+)")
 Shape = tuple[int, int]
-Tell = Callable[[str | None], None]
+ReportProblem = Callable[[str | None], None]
 
 
 class Capture(Protocol):
@@ -65,14 +65,18 @@ class Sensor:
     """Frames of a source in real time, without end where it is a sensor.
 
     opened : opens the source
-    tell : is given a sentence when the sensor is lost, and None when it is found again
+    report_problem : is given a sentence when the sensor is lost, and None when it is found again
     """
 
     def __init__(
-        self, name: str, opened: Callable[[], Capture], clock: Clock | None = None, tell: Tell = lambda _: None
+        self,
+        name: str,
+        opened: Callable[[], Capture],
+        clock: Clock | None = None,
+        report_problem: ReportProblem = lambda _: None,
     ) -> None:
         self.name = name
-        self.tell = tell
+        self.report_problem = report_problem
         self._open, self._clock = opened, clock or SystemClock()
         self._capture: Capture | None = opened()
         self._closed = False
@@ -85,11 +89,11 @@ class Sensor:
                 try:
                     if self._capture is None:
                         self._capture = self._open()
-                        self.tell(None)
+                        self.report_problem(None)
                     found = self._capture.read()
                 except (HalError, SourceError) as error:
                     self._release()
-                    self.tell(f"{error}")
+                    self.report_problem(f"{error}")
                     self._clock.sleep(RETRY_S)
                     continue
                 if found is None:
@@ -116,12 +120,14 @@ def is_sensor(source: int | str | Path) -> bool:
     return bool(_CAMERA.fullmatch(words)) or words in profile_names() or words.endswith(".toml")
 
 
-def open_sensor(source: int | str | Path, shape: Shape, tell: Callable[[str], None] = lambda _: None) -> Sensor:
+def open_sensor(
+    source: int | str | Path, shape: Shape, report_progress: Callable[[str], None] = lambda _: None
+) -> Sensor:
     """Open the sensor of a board profile, a camera, or a recording, which is played in real time.
 
     source : name or file of the profile, number or /dev/video file of the camera, or the recording
     shape : (H, W) of the calibration's frames, which a camera is asked for
-    tell : is given a few words while the source is prepared
+    report_progress : is given a few words while the source is prepared
 
     Raises
     ------
@@ -129,19 +135,19 @@ def open_sensor(source: int | str | Path, shape: Shape, tell: Callable[[str], No
         There is no such source, or it cannot be opened.
     """
     try:
-        return _opened_sensor(str(source), shape, tell)
+        return _opened_sensor(str(source), shape, report_progress)
     except HalError as error:
         raise SourceError(str(error)) from error
 
 
-def _opened_sensor(words: str, shape: Shape, tell: Callable[[str], None]) -> Sensor:
+def _opened_sensor(words: str, shape: Shape, report_progress: Callable[[str], None]) -> Sensor:
     camera = _CAMERA.fullmatch(words)
     if camera:
         return Sensor(f"camera {camera[1]}", lambda: CameraCapture(int(camera[1]), shape))
     if is_sensor(words):
         profile = load_board_profile(words)
         if profile.driver.startswith("twin"):
-            tell("the twin renders a coin that slides")
+            report_progress("the twin renders a coin that slides")
             recording = _TwinSlide(words, shape)
             return Sensor(words, lambda: PlayedCapture(recording, endless=True))
         return Sensor(words, lambda: ProfileCapture(words))

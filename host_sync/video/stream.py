@@ -241,7 +241,7 @@ class LiveHeights:
         self.has_sigma = sigma
         self._sensor, self._rate_hz = sensor, rate_hz or DEFAULT_RATE_HZ
         if sensor is not None:
-            sensor.tell = self._set_problem
+            sensor.report_problem = self._set_problem
         self._stream = FrameStream(solver, 1 if newest else None, sigma=sigma)
         self._newest = NewestFrames(frames, tap) if newest else None
         self._solved = self._stream.solve(frames if self._newest is None else self._newest)
@@ -289,13 +289,13 @@ def open_live(
     newest: bool | None = None,
     sigma: bool = False,
     tap: Tap = lambda _: None,
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
 ) -> LiveHeights:
     """Open a source as `host_sync.api.stream` takes it.
 
     newest : solve the newest frame only; None for a sensor's newest and every one of a recording
     tap : as of `LiveHeights`
-    tell : is given a few words while the source is prepared
+    report_progress : is given a few words while the source is prepared
 
     Raises
     ------
@@ -304,7 +304,7 @@ def open_live(
     """
     if isinstance(source, int | str | Path):
         if is_sensor(source) or newest:
-            sensor = open_sensor(source, solver.shape, tell)
+            sensor = open_sensor(source, solver.shape, report_progress)
             return LiveHeights(sensor.frames(), solver, sensor=sensor, newest=newest is not False, sigma=sigma, tap=tap)
         sequence: FrameSequence = open_sequence(Path(str(source)))
         return LiveHeights(sequence.frames(), solver, newest=False, sigma=sigma, rate_hz=sequence.rate_hz)

@@ -41,57 +41,59 @@ class Scanned:
     truth: TwinTruth
 
 
-def perform(act: Act, out: Path, one_at_a_time: Lock, tell: Callable[[str], None], *, compiles: bool) -> list[Shown]:
+def perform(
+    act: Act, out: Path, one_at_a_time: Lock, report_progress: Callable[[str], None], *, compiles: bool
+) -> list[Shown]:
     """One instrument from its calibration to the errors of its scans.
 
     one_at_a_time : held while the library is written
-    tell : is given a few words as each step begins
+    report_progress : is given a few words as each step begins
     compiles : the solver's kernels first, which the other process would else compile too; the rest comes from that one
     """
     if compiles:
-        tell("compile for this machine, only once")
+        report_progress("compile for this machine, only once")
         compile_integration()
     library = Library(out / "library")
-    scanned, card = _play(act, out / "card" / act.board, tell)
-    tell("pull from the card, every byte verified")
+    scanned, card = _play(act, out / "card" / act.board, report_progress)
+    report_progress("pull from the card, every byte verified")
     with one_at_a_time:
         report = pull(DirectorySource(card), library)
     if report.failed:
         raise SystemExit(f"not pulled: {report.failed}")
-    shown = _reconstruct(act, scanned, library, out, tell)
-    tell("done")
+    shown = _reconstruct(act, scanned, library, out, report_progress)
+    report_progress("done")
     return shown
 
 
-def _play(act: Act, card: Path, tell: Callable[[str], None]) -> tuple[list[Scanned], Path]:
+def _play(act: Act, card: Path, report_progress: Callable[[str], None]) -> tuple[list[Scanned], Path]:
     """Calibrate one instrument and scan its objects onto a card; the scans with their truth, and the card."""
     bench = build(load_board_profile(act.board), VirtualClock(time.monotonic_ns(), time.time()))
     scanned = []
     with twin_hardware(bench) as hardware:
         store = BundleStore(card, hardware.clock)
-        calibrate(hardware, store, BALL_RADIUS_MM, lambda words: tell(f"calibrate: {words}"))
+        calibrate(hardware, store, BALL_RADIUS_MM, lambda words: report_progress(f"calibrate: {words}"))
         hardware.operator.ask(LiftOff())
         hardware.button.wait_for_press(None)
         scanner = Scanner(hardware, store)
         scanner.measure_lights()
         for name in act.objects:
-            tell(f"button scan: {name}")
+            report_progress(f"button scan: {name}")
             hardware.operator.ask(PressObject(name))
             hardware.button.wait_for_press(None)
             truth = bench.truth()
             outcome = scanner.scan(Annotations(job="demo", part=name), lambda: hardware.operator.ask(MayLift()))
             verdict = outcome.bundle.record.verdict
-            tell(f"{VERDICT}{name}: {verdict.level}, {verdict.reason}")
+            report_progress(f"{VERDICT}{name}: {verdict.level}, {verdict.reason}")
             scanned.append(Scanned(f"{name}, {act.title}", outcome.bundle.scan_id, truth))
     return scanned, card
 
 
 def _reconstruct(
-    act: Act, scanned: list[Scanned], library: Library, out: Path, tell: Callable[[str], None]
+    act: Act, scanned: list[Scanned], library: Library, out: Path, report_progress: Callable[[str], None]
 ) -> list[Shown]:
     """Full calibration and reconstruction of every scan, compared with the truth."""
     shown: list[Shown] = []
-    job = LibraryReconstructor(library, tell=lambda words: tell(f"reconstruct: {words}"))
+    job = LibraryReconstructor(library, report_progress=lambda words: report_progress(f"reconstruct: {words}"))
     for scan in scanned:
         bundle = library.find(scan.scan_id)
         reconstruction, _ = job.run(bundle)
@@ -104,7 +106,7 @@ def _reconstruct(
         )
         folder = out / scan.title.replace(", ", "-").replace(" ", "-")
         folder.mkdir(parents=True)
-        tell(f"draw: {scan.title}")
+        report_progress(f"draw: {scan.title}")
         write_pictures(chapter, folder)
         first = act == ACTS[0] and not shown
         shown.append(Shown(scan.title, _figures(chapter.judgement), summary_row(chapter, titles=first)))

@@ -49,23 +49,23 @@ def main() -> int:
     return 0
 
 
-def _measure(parts: list[str], quick: bool, tell: Callable[[str], None]) -> Figures:
+def _measure(parts: list[str], quick: bool, report_progress: Callable[[str], None]) -> Figures:
     """Figures of the named parts; result files are deleted."""
     figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory(prefix="accuracy-") as name:
         folder = Path(name)
         if "real" in parts:
-            figures |= real_figures(folder, tell)
+            figures |= real_figures(folder, report_progress)
         if "rendered" in parts:
-            figures |= rendered_figures(folder, tell)
+            figures |= rendered_figures(folder, report_progress)
         if "twin" in parts:
-            figures |= twin_figures(folder, tell, quick=quick)
+            figures |= twin_figures(folder, report_progress, quick=quick)
         if "resolution" in parts:
-            figures |= resolution_figures(folder, tell)
+            figures |= resolution_figures(folder, report_progress)
         if "boards" in parts:
-            figures |= built_figures(folder, tell)
+            figures |= built_figures(folder, report_progress)
         if "certificate" in parts:
-            figures |= certificate_figures(folder, tell)
+            figures |= certificate_figures(folder, report_progress)
     return figures
 
 

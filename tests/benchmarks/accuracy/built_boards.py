@@ -21,12 +21,12 @@ from tests.benchmarks.accuracy.resolution import mosaic_resolution
 from tests.benchmarks.accuracy.twin_instrument import BALL_RADIUS_MM, TwinInstrument
 
 
-def built_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[str, float]]:
+def built_figures(folder: Path, report_progress: Callable[[str], None]) -> Iterator[tuple[str, float]]:
     """Figures of the resolution through each board's own mosaic and lens, in its own pixels."""
     for name in BUILT:
-        tell(f"{name}: calibration as built")
+        report_progress(f"{name}: calibration as built")
         instrument = TwinInstrument(balanced(twin_of(load_board_profile(name))), folder / name)
-        tell(f"{name}: resolution")
+        report_progress(f"{name}: resolution")
         resolution = mosaic_resolution(instrument)
         yield f"{name}: ridge of 1 px, width", resolution.widest_px
         yield f"{name}: sinusoid of 8 px keeps", resolution.least_kept(8.0)

@@ -55,18 +55,20 @@ certificate = "the twin's own geometry"
 """
 
 
-def checked_twin(folder: Path, tell: Callable[[str], None], skin: str = "diffuse") -> Certificate:
+def checked_twin(folder: Path, report_progress: Callable[[str], None], skin: str = "diffuse") -> Certificate:
     """The certificate of the twin with a skin, everything in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    tell("check standards: frames")
+    report_progress("check standards: frames")
     specimens = list(_make_frames(_profile(skin), folder))
     frame_set = load_frame_set(folder / "frameset.toml")
-    return certificate_of_frame_set(frame_set, specimens, folder / "certificate", lambda w: tell(f"check: {w}"))[0]
+    return certificate_of_frame_set(
+        frame_set, specimens, folder / "certificate", lambda w: report_progress(f"check: {w}")
+    )[0]
 
 
-def certificate_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[str, float]]:
+def certificate_figures(folder: Path, report_progress: Callable[[str], None]) -> Iterator[tuple[str, float]]:
     """Figures of the certificate, for `make accuracy`."""
-    certificate = checked_twin(folder / "check-standard", tell)
+    certificate = checked_twin(folder / "check-standard", report_progress)
     judged = [abs(one.e_n) for one in certificate.specimens if one.e_n is not None]
     if judged:
         yield "certificate: worst |E_n|", max(judged)

@@ -21,10 +21,10 @@ UNTOUCHED_FRAMES: Final = 4
 """Of nothing, on each skin of the twin."""
 
 
-def real_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[Figure]:
+def real_figures(folder: Path, report_progress: Callable[[str], None]) -> Iterator[Figure]:
     """Figures of the available real sets; results stay in the folder."""
     for name in filter(real_sets.available, real_sets.SETS):
-        verdict = real_sets.judge_set(name, folder / name, lambda words, name=name: tell(f"{name}: {words}"))
+        verdict = real_sets.judge_set(name, folder / name, lambda words, name=name: report_progress(f"{name}: {words}"))
         if not verdict["balls"] or verdict["lost"]:
             continue  # figures of the easier balls alone are no figures
         yield f"{name} surface", verdict["surface"]["mean"]
@@ -33,15 +33,18 @@ def real_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[Figure]:
         yield f"{name} masked", verdict["masked"]
 
 
-def twin_figures(folder: Path, tell: Callable[[str], None], *, quick: bool) -> Iterator[Figure]:
+def twin_figures(folder: Path, report_progress: Callable[[str], None], *, quick: bool) -> Iterator[Figure]:
     """Figures of new presses on the twin with each skin, and of the mosaic's resolution on the diffuse one."""
     heights, slopes = NOTHING, NOTHING
     for skin in SKINS:
-        tell(f"twin {skin}: calibration")
+        report_progress(f"twin {skin}: calibration")
         instrument = TwinInstrument(reference_profile(skin), folder / skin)
         places, objects = (PLACES[:2], OBJECTS[:1]) if quick else (PLACES, OBJECTS)
         verdict = judge_instrument(
-            instrument, lambda words, skin=skin: tell(f"twin {skin}: {words}"), places=places, objects=objects
+            instrument,
+            lambda words, skin=skin: report_progress(f"twin {skin}: {words}"),
+            places=places,
+            objects=objects,
         )
         yield f"twin {skin} surface", verdict.surface_deg
         yield f"twin {skin} radius off by", verdict.radius_off_by
@@ -49,7 +52,7 @@ def twin_figures(folder: Path, tell: Callable[[str], None], *, quick: bool) -> I
         yield f"twin {skin} untouched skin, rms", untouched_rms_um(instrument, 2 if quick else UNTOUCHED_FRAMES)
         heights, slopes = heights + verdict.heights, slopes + verdict.slopes
         if skin == SKINS[0]:
-            tell("twin: resolution through the mosaic")
+            report_progress("twin: resolution through the mosaic")
             resolution = mosaic_resolution(instrument)
             yield "Bayer: ridge of 1 px, width", resolution.widest_px
             yield "Bayer: sinusoid of 8 px keeps", resolution.least_kept(8.0)
@@ -65,9 +68,9 @@ def untouched_rms_um(instrument: TwinInstrument, frames: int) -> float:
     return float(np.sqrt(np.nanmean(np.square(heights))))
 
 
-def resolution_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[Figure]:
+def resolution_figures(folder: Path, report_progress: Callable[[str], None]) -> Iterator[Figure]:
     """Figures of the resolution off the mosaic."""
-    tell("twin: resolution without a mosaic")
+    report_progress("twin: resolution without a mosaic")
     resolution = three_channel_resolution(reference_profile(SKINS[0]), folder / "three-channels")
     yield "three channels: ridge of 1 px, width", resolution.widest_px
     yield "three channels: sinusoid of 4 px keeps", resolution.least_kept(4.0)

@@ -124,7 +124,7 @@ def refresh(document: Path, rows: list[Row]) -> None:
     document.write_text(f"{before}{BEGIN}\n{chr(10).join([*lines[:2], *body])}\n{END}{after}", encoding="utf-8")
 
 
-def draw(name: str, figures: Sequence[str], tell: Callable[[str], None]) -> None:
+def draw(name: str, figures: Sequence[str], report_progress: Callable[[str], None]) -> None:
     """Write the named figures of one real set, small enough for the repository."""
     with tempfile.TemporaryDirectory(prefix="methods-") as folder:
         drawn = frames_to_draw(str(real_sets.frame_set_file(name)), None, Calibrator(paper=True))
@@ -133,7 +133,7 @@ def draw(name: str, figures: Sequence[str], tell: Callable[[str], None]) -> None
                 target = PICTURES / f"{path.stem}-{name}.png"
                 with Image.open(path) as picture:
                     picture.convert("RGB").quantize(COLOURS).save(target, optimize=True)
-                tell(str(target))
+                report_progress(str(target))
 
 
 if __name__ == "__main__":

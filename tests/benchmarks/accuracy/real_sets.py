@@ -32,10 +32,10 @@ def available(name: str) -> bool:
     return frame_set_file(name).is_file() and judge_program().is_file()
 
 
-def judge_set(name: str, out: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def judge_set(name: str, out: Path, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """Verdict of the judge on a set calibrated and reconstructed into the folder `out`."""
-    reconstruct_frame_set(load_frame_set(frame_set_file(name)), out, tell=tell)
-    tell("judging")
+    reconstruct_frame_set(load_frame_set(frame_set_file(name)), out, report_progress=report_progress)
+    report_progress("judging")
     return judge_results(name, out)
 
 

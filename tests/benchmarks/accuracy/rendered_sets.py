@@ -36,18 +36,18 @@ def available() -> bool:
     return all(file.exists() for file in files) and importlib.util.find_spec("yaml") is not None
 
 
-def rendered_figures(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[str, float]]:
+def rendered_figures(folder: Path, report_progress: Callable[[str], None]) -> Iterator[tuple[str, float]]:
     """Figures of every set; frames and results stay in the folder."""
     for name in SETS if available() else ():
-        tell(f"rendered {name}: rendering")
+        report_progress(f"rendered {name}: rendering")
         _run(_tool("make_simulated.py"), _models(), folder / "rendered", "--devices", name)
         frames, results, record = (folder / "rendered" / part for part in (name, f"{name}-out", f"{name}.json"))
         reconstruct_frame_set(
             load_frame_set(frames / "frameset.toml"),
             results,
-            tell=lambda words, name=name: tell(f"rendered {name}: {words}"),
+            report_progress=lambda words, name=name: report_progress(f"rendered {name}: {words}"),
         )
-        tell(f"rendered {name}: judging")
+        report_progress(f"rendered {name}: judging")
         _run(_tool("judge_heights.py"), frames, results, "--json", record)
         presses = json.loads((results / "calibration" / "report.json").read_text())["presses"]
         yield f"rendered {name} presses that teach", sum(bool(press["balls"]) for press in presses) / len(presses)

@@ -116,13 +116,13 @@ def main() -> int:
         import_gelsight(Path(sys.argv[1]), Said(PITCH_UM, None, None, None)).write(folder / "oem.toml")
         everything = load_frame_set(folder / "oem.toml")
         for label, chosen in LIGHTS.items():
-            reconstruct_frame_set(with_lights(everything, chosen), folder / label, tell=_tell)
+            reconstruct_frame_set(with_lights(everything, chosen), folder / label, report_progress=_report_progress)
         for scan in JUDGED:
             sys.stdout.write(_row(everything, scan, folder) + "\n")
     return 0
 
 
-def _tell(words: str) -> None:
+def _report_progress(words: str) -> None:
     sys.stderr.write(f"{words}\n")
 
 

@@ -51,7 +51,7 @@ class TwinVerdict:
 
 def judge_instrument(
     instrument: TwinInstrument,
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
     method: Method | None = None,
     places: Sequence[tuple[float, float]] = PLACES,
     objects: Sequence[str] = OBJECTS,
@@ -64,7 +64,7 @@ def judge_instrument(
         (instrument.press_object, (name,)) for name in objects
     ]:
         scan = press(*what)
-        tell(scan.name)
+        report_progress(scan.name)
         found = instrument.reconstruct(scan, method)
         heights.append(height_coverage(found, scan.truth))
         slopes.append(slope_coverage(found, scan.truth))

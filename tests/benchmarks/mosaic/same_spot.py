@@ -123,7 +123,7 @@ def write(line: str) -> None:
     sys.stdout.flush()
 
 
-def tell(every: list[Outcome], depth_um: float) -> None:
+def write_figures(every: list[Outcome], depth_um: float) -> None:
     """Write the figures of all pairs with a dent, or without one if its depth is zero."""
     seen = [one for one in every if not one.refused]
     write(f"{'with' if depth_um else 'without'} a dent: {len(every)} pairs, {len(every) - len(seen)} not registered")
@@ -154,7 +154,7 @@ def main(arguments: list[str] | None = None) -> int:
     metal = metal_map()
     for depth_um, count in ((options.depth_um, options.dents), (0.0, options.pairs)):
         every = [outcome(metal, seed, depth_um) for seed in range(options.first, options.first + count)]
-        tell(every, depth_um)
+        write_figures(every, depth_um)
     write(f"{time.perf_counter() - started:.0f} s")
     return 0
 

@@ -19,9 +19,9 @@ from tests.benchmarks.speed.specimen import at_size
 from tests.benchmarks.speed.timing import side_by_side
 
 
-def measure(plan: Plan, calibration: Calibration, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, calibration: Calibration, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """All figures of the slopes."""
-    tell("slopes per pixel")
+    report_progress("slopes per pixel")
     image = _image(calibration, plan.large)
     inverse_map = at_size(calibration.inverse.map, plan.large)
     methods: dict[str, Callable[[], Any]] = {

@@ -25,11 +25,13 @@ from tests.benchmarks.speed.timing import side_by_side
 ROUNDS = 40
 
 
-def measure(plan: Plan, maps: dict[Shape, InverseMap], folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(
+    plan: Plan, maps: dict[Shape, InverseMap], folder: Path, report_progress: Callable[[str], None]
+) -> dict[str, Any]:
     """All figures of the handheld, by size of the raw frame."""
     figures = {}
     for shape in plan.handheld:
-        tell(f"handheld, {named(shape)}")
+        report_progress(f"handheld, {named(shape)}")
         figures[named(shape)] = fresh(look, maps[shape], folder, shape, min(ROUNDS, 20 * plan.rounds), threads=1)
     return figures
 

@@ -36,17 +36,17 @@ SEEDS = (0, 1, 2)
 Solver = Callable[[], Float32Array]
 
 
-def measure(plan: Plan, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """All figures of integration."""
-    tell("integration: full rectangle")
+    report_progress("integration: full rectangle")
     figures = {"unweighted": _unweighted(plain_field(plan.large), plan.rounds)}
     figures["unweighted"]["accuracy"] = _worst([_plain_over_exact(plan.large, seed) for seed in SEEDS])
-    tell("integration: weights and holes")
+    report_progress("integration: weights and holes")
     figures["weighted"] = _weighted(holed_field(plan.large), plan.rounds)
     figures["weighted"]["accuracy"] = _worst([_holed_over_exact(plan.large, seed) for seed in SEEDS])
-    tell("integration: algebraic multigrid beside ours")
+    report_progress("integration: algebraic multigrid beside ours")
     figures["beside pyamg"] = _beside_pyamg(holed_field(plan.small), plan.rounds)
-    tell("integration: sparse direct solver beside ours")
+    report_progress("integration: sparse direct solver beside ours")
     figures["beside direct"] = _beside_direct(holed_field(plan.direct), plan.rounds)
     figures["unweighted, small"] = _small(plain_field(plan.small), plan.rounds)
     return figures

@@ -28,9 +28,9 @@ PATHS: Final = {"three channels": 3, "three lights": 3, "six lights": 6}
 """Lights of each path; the first is calibrated as an RGB frame is, the others as any number of lights is."""
 
 
-def measure(plan: Plan, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """Figures of the three paths, and whether the first two give the same heights and ± to the last bit."""
-    tell("three lights and six")
+    report_progress("three lights and six")
     calibrations = {
         "three channels": calibrate(_presses(plan, 3), _rest(plan, 3), PITCH_UM),
         "three lights": calibrate_lights(_presses(plan, 3), _rest(plan, 3), PITCH_UM),

@@ -15,12 +15,12 @@ from tests.benchmarks.speed.plan import Plan, Shape, named
 from tests.benchmarks.speed.sparse_system import sparse_system
 
 
-def measure(plan: Plan, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """Size and peak (MB besides the field) by method."""
     cases = {"ours, weighted": plan.large}
     if not plan.quick:
         cases |= _peers(plan)
-    tell("peak memory of the integrators")
+    report_progress("peak memory of the integrators")
     return {name: {"size": named(shape), "peak_mb": fresh(peak_of, name, shape)} for name, shape in cases.items()}
 
 

@@ -45,10 +45,10 @@ PHASE_S = 0.0037
 """Each push comes this much later within a frame than the previous one."""
 
 
-def measure(plan: Plan, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, folder: Path, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """All figures of one press, on a twin of the reference size."""
     shape = SMALLEST if plan.quick else plan.small
-    tell(f"one press, {named(shape)}")
+    report_progress(f"one press, {named(shape)}")
     calibration_s = fresh(calibrated, shape, folder / "one-press", threads=1)
     return fresh(presses, shape, folder / "one-press", min(PRESSES, 2 * plan.rounds), threads=1) | {
         "calibration_virtual_s": calibration_s

@@ -77,11 +77,13 @@ OF_SOME: Final = frozenset(
 """The first is called with lamps that explain the balls, the second without, the third where elevation counts."""
 
 
-def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(
+    plan: Plan, calibration: Calibration, folder: Path, report_progress: Callable[[str], None]
+) -> dict[str, Any]:
     """All figures of the pipeline, by size."""
     figures = {}
     for shape in plan.scans:
-        tell(f"whole pipeline, {named(shape)}")
+        report_progress(f"whole pipeline, {named(shape)}")
         figures[named(shape)] = fresh(
             run_pipeline, calibration, folder, shape, 1 if plan.quick else RUNS, settings=AS_A_COMMAND
         )

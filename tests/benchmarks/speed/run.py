@@ -58,7 +58,7 @@ def main() -> int:
     return 0
 
 
-def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(plan: Plan, only: list[str], folder: Path, report_progress: Callable[[str], None]) -> dict[str, Any]:
     """Figures of the sections by name."""
     from tests.benchmarks.speed import (
         gradients,
@@ -76,21 +76,21 @@ def measure(plan: Plan, only: list[str], folder: Path, tell: Callable[[str], Non
 
     figures: dict[str, Any] = {"sizes": _sizes(plan)}
     if set(only) - WITHOUT_FRAMES:
-        tell("calibrating the twin and taking frames of every size")
+        report_progress("calibrating the twin and taking frames of every size")
         calibration = field_calibration(plan.calibrated, plan.presses, folder / "store")
         maps = {shape: at_size(calibration.inverse.map, shape) for shape in plan.handheld}
         for shape in sorted({*plan.scans, *plan.handheld}):
             fresh(render, shape, folder)
     sections: dict[str, Callable[[], dict[str, Any]]] = {
-        "handheld": lambda: handheld.measure(plan, maps, folder, tell),
-        "one press": lambda: one_press.measure(plan, folder, tell),
-        "integration": lambda: integration.measure(plan, tell),
-        "gradients": lambda: gradients.measure(plan, calibration, tell),
-        "video": lambda: video.measure(plan, calibration, folder, tell),
-        "pipeline": lambda: pipeline.measure(plan, calibration, folder, tell),
-        "two workers": lambda: two_workers.measure(plan, calibration, folder, tell),
-        "memory": lambda: memory.measure(plan, tell),
-        "lights": lambda: lights.measure(plan, tell),
+        "handheld": lambda: handheld.measure(plan, maps, folder, report_progress),
+        "one press": lambda: one_press.measure(plan, folder, report_progress),
+        "integration": lambda: integration.measure(plan, report_progress),
+        "gradients": lambda: gradients.measure(plan, calibration, report_progress),
+        "video": lambda: video.measure(plan, calibration, folder, report_progress),
+        "pipeline": lambda: pipeline.measure(plan, calibration, folder, report_progress),
+        "two workers": lambda: two_workers.measure(plan, calibration, folder, report_progress),
+        "memory": lambda: memory.measure(plan, report_progress),
+        "lights": lambda: lights.measure(plan, report_progress),
     }
     return figures | {name: sections[name]() for name in only}
 

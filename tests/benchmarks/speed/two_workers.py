@@ -24,10 +24,12 @@ SPINS = 2_000_000
 ROUNDS = 3
 
 
-def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(
+    plan: Plan, calibration: Calibration, folder: Path, report_progress: Callable[[str], None]
+) -> dict[str, Any]:
     """Frames per second of one and of two workers, and the same of processes that only count."""
     shape = plan.small if plan.small in plan.scans else plan.scans[0]
-    tell("one and two single-thread workers")
+    report_progress("one and two single-thread workers")
     runs = [
         {workers: _rates(workers, calibration, folder, shape, plan.frames // 2) for workers in (1, 2)}
         for _ in range(1 if plan.quick else ROUNDS)

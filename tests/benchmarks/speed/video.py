@@ -47,10 +47,12 @@ COMPARED = 2
 NEAR_DUST_PX = 81
 
 
-def measure(plan: Plan, calibration: Calibration, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+def measure(
+    plan: Plan, calibration: Calibration, folder: Path, report_progress: Callable[[str], None]
+) -> dict[str, Any]:
     """Frames per second (of the fastest run of the sequence, and of the median one) with and without weights."""
     shape = plan.small if plan.small in plan.scans else plan.scans[0]
-    tell(f"video, {named(shape)}")
+    report_progress(f"video, {named(shape)}")
     frames, full = sequence(calibration, folder, shape, plan.frames)
     figures: dict[str, Any] = {"size": named(shape)}
     for name, weighted in (("weighted", True), ("unweighted", False)):

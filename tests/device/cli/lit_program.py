@@ -30,7 +30,7 @@ def open_lit_hardware(profile: BoardProfile, _clock: object = None, seed: int = 
         sys.stdout.write(f"{word}\n")
         sys.stdout.flush()
 
-    def tell() -> None:
+    def report_change() -> None:
         follow()
         state = "lit" if any(emulated.leds.currents_ma()[:15]) else "dark"
         if [word for word in printed if word != "transfer"][-1:] != [state]:
@@ -42,7 +42,7 @@ def open_lit_hardware(profile: BoardProfile, _clock: object = None, seed: int = 
             time.sleep(0.2)
         return reach(address)
 
-    emulated.leds.changed = tell
+    emulated.leds.changed = report_change
     emulated.wire.reach = reach_slowly
     emulated.bench.faults.camera_stalled = True
     now_ns = emulated.bench.clock.monotonic_ns()

@@ -72,7 +72,7 @@ def test_contrast_that_grows_differently_over_the_field_does_not_turn_the_lights
 
 
 @pytest.mark.parametrize("coloured", [False, True])
-def test_balls_left_out_tell_whether_the_reference_goes_with_the_lights(coloured: bool) -> None:
+def test_balls_left_out_show_whether_the_reference_goes_with_the_lights(coloured: bool) -> None:
     light = uneven_light()
     skin = GentleSkin.best(*on_balls(light if coloured else None), SHAPE, light)
     assert (skin.light is not None) == coloured

@@ -38,7 +38,7 @@ def test_slopes_and_brightness_of_a_matt_skin_come_back_wherever_it_lies() -> No
     np.testing.assert_allclose(seen[:, 2], 1.0 / np.sqrt(1.0 + (truth**2).sum(axis=1)), atol=2e-3)
 
 
-def test_only_gentle_slopes_tell_where_the_lights_are() -> None:
+def test_only_gentle_slopes_show_where_the_lights_are() -> None:
     samples, slope, _ = scattered(4000, 0.9, 0)
     dark = np.linalg.norm(slope, axis=1) > GENTLE
     samples.intensity[dark] = 0.0
@@ -46,7 +46,7 @@ def test_only_gentle_slopes_tell_where_the_lights_are() -> None:
     np.testing.assert_allclose(NearLightModel.of(samples, slope, SHAPE).directions, expected.directions, atol=5e-3)
 
 
-def test_slopes_none_of_which_is_gentle_tell_of_no_light() -> None:
+def test_slopes_none_of_which_is_gentle_show_no_light() -> None:
     samples, slope, _ = scattered(500, 0.9, 0)
     near = NearLightModel.of(samples, np.sign(slope) * (np.abs(slope) + GENTLE), SHAPE)
     np.testing.assert_array_equal(near.directions, 0.0)

@@ -56,7 +56,7 @@ def test_two_processes_give_the_bits_of_one_though_one_is_killed_in_mid_scan(
 
     job = LibraryReconstructor(batch, calibrator=Calibrator(calibration_cache, obtained=obtained))
     marker = tmp_path / "died"
-    found = list(reconstruct_scans(scans, ScanWork(batch.root, tell=DieOnce(marker, at)), job, 2))
+    found = list(reconstruct_scans(scans, ScanWork(batch.root, report_progress=DieOnce(marker, at)), job, 2))
     assert marker.exists()
     assert Counter(one.scan for one in found) == Counter(scan.scan_id for scan in scans)
     assert plain(found, batch) == plain(alone[1], alone[0])

@@ -62,7 +62,7 @@ def test_what_differs_from_press_to_press_is_not_believed() -> None:
     assert not noise_only.any(), "no skin is far from such a ball"
 
 
-def test_too_few_presses_tell_nothing() -> None:
+def test_too_few_presses_show_nothing() -> None:
     assert not free_skin_slopes(MAP, presses(MIN_PRESSES - 1), NODES).any()
 
 

@@ -101,7 +101,7 @@ def test_heights_feel_the_pitch_twice_and_the_radius_once() -> None:
     assert with_stated_pitch(scale, 20.0, 0.05) is scale
 
 
-def test_balls_of_two_sizes_tell_how_far_their_radii_agree() -> None:
+def test_balls_of_two_sizes_show_how_far_their_radii_agree() -> None:
     shares, radii = np.array([1.01, 1.03, 1.02, 0.98, 0.98]), np.array([12.0, 12.0, 12.0, 20.0, 20.0])
     scale = scale_uncertainty(None, [frame_of()], shares, radii)
     assert scale.ball_radius_share == pytest.approx(0.04 / np.sqrt(2.0))

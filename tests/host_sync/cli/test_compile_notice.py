@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from host_sync.cli.console import tell_compile_time, tell_of_compiling
+from host_sync.cli.console import announce_compiling, report_compile_time
 from host_sync.cli.main import run
 from host_sync.kernels.cache import SETTING, SUFFIX
 from host_sync.kernels.jit import CompileTime, njit
@@ -29,10 +29,10 @@ def test_it_is_said_once(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     if cached:
         (tmp_path / f"host_sync.integration.datum._add_cells-1{SUFFIX}").touch()
-    tell_of_compiling()
-    tell_of_compiling()
+    announce_compiling()
+    announce_compiling()
     assert capsys.readouterr().err.count("compiles for this machine, about a minute") == words
-    tell_compile_time()
+    report_compile_time()
     assert capsys.readouterr().err.count("s of this run were compiling") == words
 
 
@@ -43,7 +43,7 @@ def test_how_long_it_took_is_said_at_the_end_of_the_run(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
 
     def command() -> int:
-        tell_of_compiling()
+        announce_compiling()
         assert doubled(21) == 42
         return 0
 

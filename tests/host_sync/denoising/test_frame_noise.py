@@ -38,7 +38,7 @@ def test_noise_of_frames_is_found_beside_edges() -> None:
     np.testing.assert_allclose(found.ratios, known.ratios, rtol=0.3)
 
 
-def test_too_few_pixels_tell_no_noise() -> None:
+def test_too_few_pixels_show_no_noise() -> None:
     everywhere = np.ones((40, 40), np.bool_)
     image = NormalizedImage(np.ones((40, 40, 3), np.float32), everywhere, ~everywhere)
     assert measure_noise([(image, [Ball(20.0, 20.0, 5.0, 9.0)])], [image.values]) is None

@@ -128,7 +128,7 @@ def test_without_noise_or_light_there_is_no_null_colour(samples: BallSamples, tw
     assert learn_null_colour(black, two_colours, NOISE) is None
 
 
-def test_few_pixels_tell_nothing(samples: BallSamples, two_colours: InverseMap) -> None:
+def test_few_pixels_show_nothing(samples: BallSamples, two_colours: InverseMap) -> None:
     assert learn_null_colour(samples.select(np.arange(100)), two_colours, NOISE) is None
 
 

@@ -46,7 +46,7 @@ def names_of(found: FrameSet) -> tuple[str | None, list[str]]:
         ("background.png", "{:04d}.png"),
     ],
 )
-def test_names_of_known_programs_tell_presses_and_untouched_skin(
+def test_names_of_known_programs_distinguish_presses_and_untouched_skin(
     rest: str, names: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     put(tmp_path / rest)
@@ -275,7 +275,7 @@ def test_a_radius_that_does_not_fit_is_said(
     assert hint in said
 
 
-def test_the_radius_of_balls_is_found_within_what_contacts_tell(tmp_path: Path) -> None:
+def test_the_radius_of_balls_is_found_within_what_contacts_allow(tmp_path: Path) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
     assert run(tmp_path, *OPTIONS) == 0
@@ -340,7 +340,7 @@ def test_a_kind_may_stand_before_the_folder_or_be_an_option(tmp_path: Path) -> N
         ("film.mp4", "images"),
     ],
 )
-def test_files_tell_the_kind(file: str, kind: Kind, tmp_path: Path) -> None:
+def test_files_show_the_kind(file: str, kind: Kind, tmp_path: Path) -> None:
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_bytes(b"")
     assert recognize(tmp_path) == kind

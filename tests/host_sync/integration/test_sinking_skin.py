@@ -69,7 +69,7 @@ def test_a_zero_at_rest_lies_lower_and_is_less_sure() -> None:
 
 
 @pytest.mark.parametrize("correlation", [0.3, 0.6])
-def test_bends_that_follow_heights_loosely_tell_nothing(correlation: float) -> None:
+def test_bends_that_follow_heights_loosely_show_nothing(correlation: float) -> None:
     """Leaving out what lies off the line must not make a line of a cloud."""
     random = np.random.default_rng(2)
     z, noise = random.standard_normal((2, 3000))

@@ -58,7 +58,7 @@ def mosaic(
 
 
 def truth_on(record: MosaicRecord, target: Target, truth: list[Pose], shape: tuple[int, ...]) -> Float32Array:
-    """The target at the mosaic's pixels, which the record's places of three presses tell."""
+    """The target at the mosaic's pixels, from the record's places of three presses."""
     found = np.array([[place.row_px, place.column_px] for place in record.presses])
     real = np.array([[place.down, place.right] for place in truth])
     design = np.hstack([found, np.ones((len(found), 1))])

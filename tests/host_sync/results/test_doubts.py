@@ -248,7 +248,7 @@ def test_every_export_carries_every_kind(doubted: tuple[list[str], Path], form: 
     assert missing == []
 
 
-def test_pictures_and_studies_tell_it(doubtful: Doubtful, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures_and_studies_state_it(doubtful: Doubtful, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kind, folder = doubtful
     assert main(["render", str(folder), "--out", str(tmp_path / "a.png"), "--width", "200"]) == 0
     assert f"doubt: part: {kind}: " in capsys.readouterr().out

@@ -31,7 +31,7 @@ def samples(places: list[tuple[float, float]], height_px: float = HEIGHT_PX, con
 
 
 @pytest.mark.parametrize("places", [CORNERS, [(column, 120.0) for column in (40.0, 120.0, 200.0, 280.0)]])
-def test_four_balls_tell_it_in_the_corners_and_in_a_row(places: list[tuple[float, float]]) -> None:
+def test_four_balls_show_it_in_the_corners_and_in_a_row(places: list[tuple[float, float]]) -> None:
     assert 1.0 / nearness_per_px(samples(places), SHAPE) == pytest.approx(HEIGHT_PX, rel=0.05)
 
 
