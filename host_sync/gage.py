@@ -32,7 +32,7 @@ TRIALS: Final = 20_000
 CONFIDENCE: Final = 0.95
 SEED: Final = 5
 
-COPIES_SHARE: Final = 1e-15
+COPIES_FRACTION: Final = 1e-15
 """Sum of squares between repeats, as a fraction of all, that rounding alone explains."""
 
 
@@ -118,7 +118,7 @@ def study(
             f"a gage study needs two parts and two repeats, found {sizes[0]} and {sizes[2]}: scan more"
         )
     anova = _analyse(values)
-    if not anova.sums["repeats"] > COPIES_SHARE * sum(anova.sums.values()):
+    if not anova.sums["repeats"] > COPIES_FRACTION * sum(anova.sums.values()):
         raise MeasurementError("repeats do not differ: they are copies, not repeated measurements")
     names = [name for name in anova.sums if anova.freedoms[name]]
     mean = {name: np.array(anova.sums[name] / anova.freedoms[name]) for name in names}

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from device.balls.refinement import (
-    SEEN_SHARE,
+    SEEN_FRACTION,
     RadialProfiles,
     find_apex,
     find_candidates,
@@ -227,7 +227,7 @@ def _alone(sightings: Sequence[_Sighting], shape: tuple[int, int], radius_px: fl
     """Return the index of the only useful sighting of a press; None where there is none or several.
 
     The contact may be narrow, or run over the frame's border if it is good where it is seen. It ends at the last ring
-    of which enough is seen (`SEEN_SHARE`).
+    of which enough is seen (`SEEN_FRACTION`).
     """
     useful = [k for k, sighting in enumerate(sightings) if not _fault(sighting, shape, radius_px, alone=True)]
     return useful[0] if len(useful) == 1 else None
@@ -308,7 +308,7 @@ def find_contact(rings: RadialProfiles) -> float:
 def ramp_profile(rings: RadialProfiles) -> Float64Array:
     """Ramp over the rings in units of its level near the apex, float64 array of shape (K,), NaN where not seen."""
     ramp = np.sqrt((np.abs(rings.first) ** 2).sum(axis=1)) / rings.distance
-    ramp[rings.seen < SEEN_SHARE] = np.nan
+    ramp[rings.seen < SEEN_FRACTION] = np.nan
     near = ramp[(rings.distance <= APEX_RINGS) & np.isfinite(ramp)]
     return ramp / max(float(np.percentile(near, 25)), 1e-9) if near.size else np.full(ramp.shape, np.nan)
 

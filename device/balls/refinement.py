@@ -35,11 +35,11 @@ MAX_BEND: Final = 2.3
 """... which is where a cubic leaves this much more of the wide than of the small patch: 1.0 to 1.2 under the lights of
 makers' devices, 2 with a coat that shines, 2.5 to 4 where a light hardly reaches the untouched skin."""
 
-COMMON_DOUBT: Final = 0.028
-"""Doubt of the apex, share of the radius, at which the balls' common way to it is gone half."""
+COMMON_SIGMA: Final = 0.028
+"""Uncertainty of the apex, relative to the radius, at which the balls' common way to it is gone half."""
 
-OWN_DOUBT: Final = 0.01
-"""Doubt of the apex, share of the radius, at which each ball's own way to it is gone half."""
+OWN_SIGMA: Final = 0.01
+"""Uncertainty of the apex, relative to the radius, at which each ball's own way to it is gone half."""
 
 NORMAL_QUARTILE: Final = 0.319
 """Lower quartile of a standard normal variable's magnitude."""
@@ -56,7 +56,7 @@ MAX_SHIFT: Final = 0.7
 INVALID_WEIGHT: Final = 0.3
 """Weight of an invalid pixel beside a valid one: where one channel clips, the others still show it."""
 
-SEEN_SHARE: Final = 0.7
+SEEN_FRACTION: Final = 0.7
 """A ring counts when this share of it is inside the frame."""
 
 _CUBIC: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
@@ -133,7 +133,7 @@ def join_centres(
     doubt = _apex_doubt(reduced, circles[whole], radius_px)
     way = apexes - circles
     common = np.median(way[whole], axis=0)
-    return np.asarray(circles + _trust(doubt, COMMON_DOUBT) * common + _trust(doubt, OWN_DOUBT) * (way - common))
+    return np.asarray(circles + _trust(doubt, COMMON_SIGMA) * common + _trust(doubt, OWN_SIGMA) * (way - common))
 
 
 def _trust(doubt: float, limit: float) -> float:
@@ -175,7 +175,7 @@ def _circle_step(reduced: ReducedIntensity, at: Float64Array, radius_px: float) 
     distance = np.arange(RING_INNER, RING_OUTER, 1.0 / 14.0)
     rings = sample_radial_profiles(reduced, at, radius_px, distance)
     bend = np.gradient(rings.first, distance, axis=0) - rings.first / distance[:, None]
-    weight = (distance * rings.seen * (rings.seen > SEEN_SHARE))[:, None]
+    weight = (distance * rings.seen * (rings.seen > SEEN_FRACTION))[:, None]
     power = float((weight * np.abs(bend) ** 2).sum())
     shift = -2.0 * complex((weight * np.conj(bend) * rings.second).sum()) / max(power, 1e-12)
     return np.array([shift.real, -shift.imag]) * radius_px

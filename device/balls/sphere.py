@@ -216,7 +216,7 @@ DEGREE: Final = 5
 SIGMA_PX: Final = 2.0
 """Standard deviation of the Gaussian."""
 
-SIGMA_SHARE: Final = 0.03
+SIGMA_FRACTION: Final = 0.03
 """Largest standard deviation as a share of the contact's radius: a small ball bends within few pixels."""
 
 OUTLYING: Final = 4.0
@@ -251,7 +251,7 @@ def quiet_intensity(
         length = np.linalg.norm(left, axis=1)
         outlying = OUTLYING * max(float(np.median(length)), 1e-6)
         weight = np.where(length > outlying, (outlying / np.maximum(length, outlying)) ** 2, 1.0)
-    sigma_px = min(SIGMA_PX, SIGMA_SHARE * contact_radius_px)
+    sigma_px = min(SIGMA_PX, SIGMA_FRACTION * contact_radius_px)
     return np.asarray(seen - left + _averaged(left, weight, row, column, sigma_px), np.float32)
 
 

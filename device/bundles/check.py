@@ -31,7 +31,7 @@ COMMON_RADII_UM: Final = (1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0
 """Radii of commercially available balls."""
 
 
-def look_alike_um(value_um: float, limit_um: float, measured_um: float) -> float | None:
+def ambiguity_um(value_um: float, limit_um: float, measured_um: float) -> float | None:
     """Return the common ball radius that fits a reading where the certified one does not, µm, else None.
 
     limit_um : allowed deviation from the certified radius `value_um`
@@ -119,7 +119,7 @@ class CheckRecord(Record, frozen=True, tag_field="schema", tag=CHECK_SCHEMA):
         """The other ball that the reading fits, in words; empty if none."""
         if self.kind != "ball" or self.measured_um is None:
             return ""
-        other_um = look_alike_um(self.value_um, self.limit_um, self.measured_um)
+        other_um = ambiguity_um(self.value_um, self.limit_um, self.measured_um)
         return f", it reads as a ball of {other_um / UNITS[self.kind][1]:g} mm" if other_um else ""
 
     @property

@@ -33,7 +33,7 @@ CLEAR_DISAGREEMENT: Final = 0.12
 """Less than `flat_field.MAX_DISAGREEMENT` is two sets of lights too where every frame has another that is twice as
 near."""
 
-PITCH_GROSS_SHARE: Final = 0.05
+PITCH_GROSS_FRACTION: Final = 0.05
 """A stated pixel pitch that a ball grid contradicts by more is refused; less is reported, the measured one used."""
 
 PITCH_COVERAGE: Final = 2.0
@@ -42,7 +42,7 @@ PITCH_COVERAGE: Final = 2.0
 PASSED_HELD_OUT_DEG: Final = 5.0
 PASSED_STEEPEST_DEG: Final = 25.0
 PASSED_SECTORS: Final = 5
-PASSED_REJECTED_SHARE: Final = 0.35
+PASSED_REJECTED_FRACTION: Final = 0.35
 """Report: a calibration passes up to this held-out error, from this covered slope and number of sectors (of nine) on,
 and up to this share of rejected balls."""
 
@@ -95,7 +95,7 @@ def fit_checks(balls: int, rejected: int, held_out_deg: float | None, coverage: 
     share = rejected / (balls + rejected) if balls + rejected else 1.0
     found = [
         Check("balls used", float(balls), float(MIN_BALLS), "at least"),
-        Check("share of balls rejected", share, PASSED_REJECTED_SHARE, "at most"),
+        Check("share of balls rejected", share, PASSED_REJECTED_FRACTION, "at most"),
         Check("steepest slope covered, degrees", coverage.steepest_deg, PASSED_STEEPEST_DEG, "at least"),
         Check("sectors of the frame covered, of nine", float(covered), float(PASSED_SECTORS), "at least"),
     ]
@@ -131,7 +131,7 @@ SECTOR_PIXELS: Final = 0.25
 """A sector is covered by this share of an average ball's pixels."""
 
 TILTED_DEG: Final = 10.0
-DIRECTION_SHARE: Final = 0.25
+DIRECTION_FRACTION: Final = 0.25
 """A direction is covered by this share of the tilted pixels that it would have were all directions alike."""
 
 
@@ -200,5 +200,5 @@ def _directions(samples: BallSamples) -> dict[str, bool]:
     tilted: MaskArray = np.hypot(samples.p, samples.q) > np.tan(np.radians(TILTED_DEG))
     falls = np.arctan2(-samples.q[tilted], -samples.p[tilted])
     count = np.bincount(np.round(falls / (np.pi / 4.0)).astype(int) % 8, minlength=8)
-    enough = max(DIRECTION_SHARE * tilted.sum() / 8.0, 1.0)
+    enough = max(DIRECTION_FRACTION * tilted.sum() / 8.0, 1.0)
     return {name: bool(pixels >= enough) for name, pixels in zip(DIRECTIONS, count, strict=True)}

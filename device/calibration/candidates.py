@@ -77,7 +77,7 @@ ROOT_FORM: Final = RegressorForm(5, 2, 10.0)
 
 ANCHORS: Final = 4000
 ANCHOR_SLOPE: Final = 0.1
-ANCHOR_SHARE: Final = 100.0
+ANCHOR_FRACTION: Final = 100.0
 """Gentle slopes up to the second, as many as the first, weigh so many times as much as all samples in a curve that is
 anchored: near lights show them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
 
@@ -197,7 +197,7 @@ def fit_regressor(
         return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest, kept)
 
     near = isinstance(reading, NearLightModel)
-    anchor, share = None, ANCHOR_SHARE * len(place) / ANCHORS
+    anchor, share = None, ANCHOR_FRACTION * len(place) / ANCHORS
     if flat and form.anchored and near:
         gentle = features(*_gentle_slopes_as_seen())
         known, moment = gentle.normal_equations(np.arange(ANCHORS), np.ones(ANCHORS), np.zeros((ANCHORS, 2)))

@@ -38,7 +38,7 @@ LONE_BALL_PENALTY: Final = 1e-3
 DISTRUST_POWER: Final = 20.0
 """Power of its held-out error with which a curve loses weight: an error larger by 10 % leaves a seventh."""
 
-MIN_SHARE: Final = 0.07
+MIN_FRACTION: Final = 0.07
 """A curve beside the first with less weight is left out: it would cost as much as one that helps."""
 
 MAX_WEIGHT: Final = 1e6
@@ -53,7 +53,7 @@ It costs a third more; and a gain of one per cent on oem-bga's balls was lost ag
 FREE_GAIN: Final = 0.97
 """Share of a curve's held-out error that one which is free to misread untouched skin must reach."""
 
-CORE_SHARE: Final = 0.9
+CORE_FRACTION: Final = 0.9
 """Of a contact's radius: hand-drawn contacts often reach to where the skin has lifted off."""
 
 BAND_EDGES_DEG: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
@@ -86,7 +86,7 @@ class InverseFit:
     ball_error_deg : float64 array of shape (balls,), held-out mean angular error of the normal; NaN when unknown
     held_out_deg : the same over all pixels of kept balls, None when there is one ball only
     bands : the same by slope
-    core_deg : the same within `CORE_SHARE` of the contacts, where labels that are too wide do no harm
+    core_deg : the same within `CORE_FRACTION` of the contacts, where labels that are too wide do no harm
     readings : of held-out balls, None when there is one ball only
     of_another_radius : readings by maps trained on balls of another radius only, None when all have one radius
     replicas : maps trained on all kept balls but a fold's, one a fold, without noise bias; none where few balls were
@@ -217,9 +217,9 @@ def begin_fit(
 
 
 def _in_core(samples: BallSamples, balls: Sequence[Ball]) -> MaskArray:
-    """Return True for samples within `CORE_SHARE` of their ball's contact: bool array of shape (N,)."""
+    """Return True for samples within `CORE_FRACTION` of their ball's contact: bool array of shape (N,)."""
     centre = np.array([[ball.column, ball.row] for ball in balls])[samples.ball]
-    reach = CORE_SHARE * np.array([ball.contact_radius_px for ball in balls])[samples.ball]
+    reach = CORE_FRACTION * np.array([ball.contact_radius_px for ball in balls])[samples.ball]
     return np.asarray(np.hypot(samples.column - centre[:, 0], samples.row - centre[:, 1]) <= reach)
 
 
@@ -323,7 +323,7 @@ def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
     """
     weights = [min((own.error_as_seen / other.error_as_seen) ** DISTRUST_POWER, MAX_WEIGHT) for other in others]
     total = 1.0 + sum(weights)
-    kept = [(learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_SHARE * total]
+    kept = [(learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_FRACTION * total]
     total = 1.0 + sum(weight for _, weight in kept)
     return [(own, 1.0 / total), *((learner, weight / total) for learner, weight in kept)]
 

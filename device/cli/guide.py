@@ -18,7 +18,7 @@ from device.cli.instrument_commands import Labels, annotations_of, cue_lift
 from device.cli.screens import require_terminal, show_screens
 from device.command_line import Folder, print_json
 from device.errors import NoCalibration, RecordError
-from device.guidance.cover_task import FIRST_PRESS, MAX_AREA_MM, CoverTask, Stand
+from device.guidance.cover_task import FIRST_PRESS, MAX_AREA_MM, CoverTask, InstrumentPose
 from device.guidance.placement import Placement, Target, on_the_spot, placed, sentence, way_back
 from device.imaging.frame_measures import FocusMeter
 from device.instrument.calibration_run import BALL_RADIUS_MM
@@ -186,7 +186,7 @@ def cover(
             task.add(None if verdict.level == "retake" else read_quick_look(store, scan_id))
             words, drawn = task.sentence(), task.map()
             if json:
-                placed = task.stand if isinstance(task.stand, Stand) else None
+                placed = task.stand if isinstance(task.stand, InstrumentPose) else None
                 said = {"scan": scan_id, "verdict": verdict, "stand": placed, "covered": task.share, "sentence": words}
                 print_json(said)
             else:

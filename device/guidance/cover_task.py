@@ -56,7 +56,7 @@ class CoverTask:
     def __init__(self, width_mm: float, height_mm: float) -> None:
         self._size_mm = width_mm, height_mm
         self._covering: Covering | None = None
-        self.stand: Stand | Unplaced | None = None
+        self.stand: InstrumentPose | Unplaced | None = None
         self.way: tuple[float, float] | None = None
         self._unplaced = 0
 
@@ -147,7 +147,7 @@ SLIVER: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Stand:
+class InstrumentPose:
     """Place of the instrument during a press.
 
     right_mm, down_mm : its middle, from that of the first press, in the first press's directions
@@ -160,11 +160,11 @@ class Stand:
     clockwise_deg: float
     overlap: float
 
-    def of_press(self, placed: Placement) -> Stand:
+    def of_press(self, placed: Placement) -> InstrumentPose:
         """Return where a press stood whose way to here is `placed`."""
         turn_deg = self.clockwise_deg - placed.clockwise_deg
         right, down = (placed.right_mm, placed.down_mm) @ turning(np.radians(turn_deg))
-        return Stand(float(self.right_mm - right), float(self.down_mm - down), turn_deg, placed.overlap)
+        return InstrumentPose(float(self.right_mm - right), float(self.down_mm - down), turn_deg, placed.overlap)
 
     def way_to(self, place_mm: tuple[float, float]) -> tuple[float, float]:
         """Return the way to a place, mm to the right and down in the live view of this press."""
@@ -192,28 +192,28 @@ class Covering:
         self._field_cells = float(np.prod(self.field_mm)) / CELL_MM**2
         self._worth = np.exp2(-2.0 * self._cells[..., 1] / self.field_mm[1])
         self.covered: MaskArray = np.zeros(self._cells.shape[:2], np.bool_)
-        self.stands: list[Stand] = []
+        self.stands: list[InstrumentPose] = []
         self._targets: list[Target] = []
-        self._add(first, Stand(0.0, 0.0, 0.0, 1.0))
+        self._add(first, InstrumentPose(0.0, 0.0, 0.0, 1.0))
 
     @property
     def share(self) -> float:
         """Fraction of the area that is covered."""
         return float(self.covered.mean())
 
-    def add(self, height: HeightMap) -> Stand | Unplaced:
+    def add(self, height: HeightMap) -> InstrumentPose | Unplaced:
         """Place a press against the earlier ones, the last one first, and count what it covers.
 
         Where another one turns out to share more with it, that one says where it stood.
         """
-        found: Stand | Unplaced = Unplaced("no earlier press")
+        found: InstrumentPose | Unplaced = Unplaced("no earlier press")
         for number in reversed(range(len(self.stands))):
             found = self._placed(height, number)
-            if isinstance(found, Stand):
+            if isinstance(found, InstrumentPose):
                 shared = [self._overlap(np.array([found.right_mm, found.down_mm]), stand) for stand in self.stands]
                 nearest = int(np.argmax(shared))
                 again = found if nearest == number else self._placed(height, nearest)
-                return self._add(height, again if isinstance(again, Stand) else found)
+                return self._add(height, again if isinstance(again, InstrumentPose) else found)
         return found
 
     def next_place(self) -> tuple[float, float] | None:
@@ -242,11 +242,11 @@ class Covering:
         right, down = middles[row, column].tolist()
         return right, down
 
-    def _placed(self, height: HeightMap, number: int) -> Stand | Unplaced:
+    def _placed(self, height: HeightMap, number: int) -> InstrumentPose | Unplaced:
         found = self._targets[number].place(height)
         return self.stands[number].of_press(found) if isinstance(found, Placement) else found
 
-    def _add(self, height: HeightMap, stand: Stand) -> Stand:
+    def _add(self, height: HeightMap, stand: InstrumentPose) -> InstrumentPose:
         self._targets.append(Target(height))
         self.stands.append(stand)
         way = self._cells - (stand.right_mm, stand.down_mm)
@@ -266,7 +266,7 @@ class Covering:
         )
         return np.asarray(missing[bottom, right] - missing[top, right] - missing[bottom, left] + missing[top, left])
 
-    def _overlap(self, middles: Float64Array, stand: Stand) -> Float64Array:
+    def _overlap(self, middles: Float64Array, stand: InstrumentPose) -> Float64Array:
         """Return fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
         apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
         return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))

@@ -60,7 +60,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class CapturedPress:
     """A press in memory.
 
     scanner : also judges and records it
@@ -77,7 +77,7 @@ class Taken:
 
 
 @dataclass(slots=True)
-class Pending:
+class QueuedPress:
     """A press on its way to the disk.
 
     assessing, publishing : its two pieces of work, each with its CPU time (ms); between them it may wait for untouched
@@ -86,7 +86,7 @@ class Pending:
     is_certain : nothing is asked about it any more
     """
 
-    press: Taken
+    press: CapturedPress
     annotations: Annotations
     until_ns: int
     assessing: Future[tuple[Assessment, float]]
@@ -133,8 +133,8 @@ class ScanQueue:
         self._labels = labels
         self._deleted = deleted
         self._spot = spot
-        self._works: deque[Pending] = deque()
-        self._held: Taken | None = None
+        self._works: deque[QueuedPress] = deque()
+        self._held: CapturedPress | None = None
         self._button = ButtonWatch(hardware)
         self._busy_until_ns = 0
         self.asks = False
@@ -166,7 +166,7 @@ class ScanQueue:
         if taken:
             self.submit(taken)
 
-    def capture(self, source: Source, began_ns: int) -> Taken | None:
+    def capture(self, source: Source, began_ns: int) -> CapturedPress | None:
         """Capture a press into memory; None if it was refused (already reported)."""
         now_ns = self._hardware.clock.monotonic_ns()
         before, is_touch = self._states.state, self._spot.is_on
@@ -190,9 +190,11 @@ class ScanQueue:
         if taken.precise.alone_moved:
             self._states.publish(Info(MOVED_ALONE))
         standard = before.check.standard if before.check.is_next else None
-        return Taken(scanner, replace(taken, motion=motion), standard, None if standard else before.replaces, is_touch)
+        return CapturedPress(
+            scanner, replace(taken, motion=motion), standard, None if standard else before.replaces, is_touch
+        )
 
-    def submit(self, press: Taken) -> None:
+    def submit(self, press: CapturedPress) -> None:
         """Hand a press over to be judged and published, or compared."""
         if press.is_touch:
             self._spot.compare(press.raw.lit, press.scanner.model)
@@ -209,7 +211,7 @@ class ScanQueue:
                 self._states.update(replaces=None)
         else:
             annotations = self._labels.take()
-        self._works.append(Pending(press, annotations, until_ns, assessing))
+        self._works.append(QueuedPress(press, annotations, until_ns, assessing))
         self._states.update(processing=len(self._works))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
@@ -220,7 +222,7 @@ class ScanQueue:
         finished = []
         for pending in tuple(self._works):
             try:
-                outcome = self._go_on(pending, waits)
+                outcome = self._advance(pending, waits)
             except DeviceError as error:
                 self._works.remove(pending)
                 self._states.update(processing=len(self._works), sentence=str(error))
@@ -249,7 +251,7 @@ class ScanQueue:
         self._give_back(pending)
         self._states.publish(Info(f"Press {pending.press.standard.name}, then push."))
 
-    def _give_back(self, pending: Pending) -> None:
+    def _give_back(self, pending: QueuedPress) -> None:
         """After a press that was not stored: the check, the retake or the part's number is still to come."""
         if pending.press.standard is not None:
             self._states.update(check=replace(self._states.state.check, is_next=True))
@@ -282,7 +284,7 @@ class ScanQueue:
             for pending in self._works:
                 (pending.publishing or pending.assessing).exception()
 
-    def _go_on(self, pending: Pending, waits: bool) -> tuple[ScanOutcome, float] | None:
+    def _advance(self, pending: QueuedPress, waits: bool) -> tuple[ScanOutcome, float] | None:
         """Take the next step of a press that is due; its outcome and CPU time (ms) once it is published."""
         if not pending.assessing.done():
             return None
@@ -307,7 +309,7 @@ class ScanQueue:
             return None
         return outcome, spent_ms + more_ms
 
-    def _must_wait(self, pending: Pending, assessed: Assessment) -> bool:
+    def _must_wait(self, pending: QueuedPress, assessed: Assessment) -> bool:
         in_time = self._hardware.clock.monotonic_ns() < pending.until_ns
         must = in_time and assessed.awaits_lift and not pending.press.scanner.lights_proven(assessed)
         if must and not pending.is_announced:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from device.balls.sphere import BallSamples
 from device.inverse_map.near_light import (
-    CUBIC_DOUBT,
+    CUBIC_PENALTY,
     GENTLE,
     OLD_PLACE_DEGREE,
     PLACE_DEGREE,
@@ -128,7 +128,7 @@ class _Equations:
         information = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(ball)), 1)
         dear = np.repeat([float(i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(PLACE_DEGREE)], 2)
         price = np.zeros(features.shape[1])
-        price[: len(dear)] = CUBIC_DOUBT**2 * information * dear
+        price[: len(dear)] = CUBIC_PENALTY**2 * information * dear
         return cls(features, over * lit_by(samples.intensity[gentle], slope[gentle]), ball, over, price)
 
     def normal(self, rows: MaskArray | slice = slice(None)) -> tuple[Float64Array, Float64Array]:

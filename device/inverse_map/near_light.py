@@ -30,7 +30,7 @@ filter that lets others pass, each is the nearest somewhere, which takes more.""
 OLD_PLACE_DEGREE: Final = 2
 """Degree of files written before."""
 
-CUBIC_DOUBT: Final = 0.1
+CUBIC_PENALTY: Final = 0.1
 """Price of terms of degree 3, relative to one ball's information on a direction: a dozen balls leave some open."""
 
 GENTLE: Final = 0.35
@@ -42,7 +42,7 @@ MIN_BRIGHTNESS: Final = 0.2
 MIN_VOLUME: Final = 1e-6
 """Of three directions; where they lie in one plane closer than this the equations say nothing."""
 
-VOLUME_SHARE: Final = 0.15
+VOLUME_FRACTION: Final = 0.15
 """The same as a share of the median over the field, and never of the other sign: beyond the outermost balls polynomials
 of place may let three directions fall into one plane, where pixel noise was read as slopes of any size."""
 
@@ -74,7 +74,7 @@ class NearLightModel:
         lit = lit_by(samples.intensity[gentle], slope[gentle])
         dear = np.repeat([float(i + j > OLD_PLACE_DEGREE) for i, j in position_exponents(PLACE_DEGREE)], 2)
         information = 0.5 * float((slope[gentle] ** 2).sum()) / max(len(np.unique(samples.ball[gentle])), 1)
-        penalty = np.diag(np.append(CUBIC_DOUBT * np.sqrt(information) * dear, np.zeros(bends.shape[1])))
+        penalty = np.diag(np.append(CUBIC_PENALTY * np.sqrt(information) * dear, np.zeros(bends.shape[1])))
         design = np.concatenate([np.concatenate([features, bends], axis=1), penalty])
         directions = np.linalg.lstsq(design, np.concatenate([lit, np.zeros((len(penalty), 3))]), rcond=None)[0]
         return cls(directions[: features.shape[1]].reshape(place.shape[1], 2, 3).astype(np.float32))
@@ -91,7 +91,7 @@ class NearLightModel:
         place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         directions = np.tensordot(monomials(place, self.degree), self.directions.astype(np.float64), axes=1)
         median = float(np.median(np.cross(directions[:, 0], directions[:, 1]).sum(axis=1))) + 0.0  # no zero has a sign
-        return float(np.copysign(max(VOLUME_SHARE * abs(median), MIN_VOLUME), median))
+        return float(np.copysign(max(VOLUME_FRACTION * abs(median), MIN_VOLUME), median))
 
     def seen(self, intensity: Float32Array, place: Float64Array) -> Float32Array:
         """Return slopes p, q and brightness 1 / s of intensities (N, 3) at position variables (N, 2): shape (N, 3)."""

@@ -37,7 +37,7 @@ MIN_TAKEN: Final = 0.2
 _BATCH: Final = 8192
 
 
-def less_noise(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> InverseMap:
+def correct_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> InverseMap:
     """Return the map less what pixel noise adds on untouched skin, in `noise_bias`.
 
     Of a map that is free to miss untouched skin in `rest_bump`: noise carries pixels away from intensity 1, so that
@@ -59,7 +59,7 @@ def less_noise(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> In
 def measure_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage]) -> Float32Array:
     """Return the mean stereographic slope that pixel noise adds on untouched skin, nodes as in `InverseMap.noise_bias`.
 
-    frames : as for `less_noise`
+    frames : as for `correct_noise_bias`
     """
     noise, place, cell, cells = _noise_at_places(inverse_map, frames)
     added = np.concatenate([_even_part(inverse_map, noise[at], place[at]) for at in _batches(PIXELS)])

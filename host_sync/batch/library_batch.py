@@ -205,7 +205,7 @@ def _quiet(_: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class ScanWork:
+class ReconstructionOptions:
     """Options of the reconstruction of a batch; called in a process, it returns what does so.
 
     root : the library's folder
@@ -259,7 +259,7 @@ def _reconstructed(job: LibraryReconstructor, scan: ScanBundle) -> ScanOutcome:
 
 
 def reconstruct_all(
-    scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, workers: int | None = None
+    scans: Sequence[ScanBundle], work: ReconstructionOptions, job: LibraryReconstructor, workers: int | None = None
 ) -> Iterator[ScanOutcome]:
     """Reconstruct scans by so many processes; return the outcome of each, once.
 
@@ -285,7 +285,7 @@ def one_by_one(scans: Sequence[ScanBundle], job: LibraryReconstructor) -> Iterat
 
 def reconstruct_scans(
     scans: Sequence[ScanBundle],
-    work: ScanWork,
+    work: ReconstructionOptions,
     job: LibraryReconstructor,
     workers: int,
     *,
@@ -306,7 +306,7 @@ def reconstruct_scans(
 
 
 def reconstruct_on_cluster(
-    scans: Sequence[ScanBundle], work: ScanWork, job: LibraryReconstructor, client: Client
+    scans: Sequence[ScanBundle], work: ReconstructionOptions, job: LibraryReconstructor, client: Client
 ) -> Iterator[ScanOutcome]:
     """Reconstruct scans by the workers of a dask cluster, which share the library's folder with this computer.
 

@@ -22,7 +22,7 @@ from device.errors import DeviceError
 from device.io.atomic import write_output
 from device.io.lock import FolderLocked, locked_directory
 from device.io.system import explain_os_error
-from host_sync.batch.library_batch import ScanOutcome, ScanWork, reconstruct_all
+from host_sync.batch.library_batch import ReconstructionOptions, ScanOutcome, reconstruct_all
 from host_sync.errors import HostError, LibraryError
 from host_sync.library.library import Library
 from host_sync.results.files import RECORD_FILE
@@ -158,7 +158,7 @@ class LibraryWatch:
                 except (DeviceError, HostError) as error:
                     yield ScanOutcome(name, reason=str(error))
         if new:
-            yield from reconstruct_all(new, ScanWork(self._library.root), self._job, self._workers)
+            yield from reconstruct_all(new, ReconstructionOptions(self._library.root), self._job, self._workers)
 
     def _results(self, name: str) -> Path | None:
         """Return the newest results of this version that a scan has; None where it has none."""

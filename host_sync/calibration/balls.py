@@ -12,7 +12,7 @@ import numpy as np
 from device.balls.detector import SHALLOW, BallSearch, RejectedBall, find_balls, fits
 from device.balls.sphere import Ball, pixels_inside
 from device.calibration.acceptance import MAX_CLIPPED
-from device.calibration.fit import CORE_SHARE, InverseFit, dropped_ball
+from device.calibration.fit import CORE_FRACTION, InverseFit, dropped_ball
 from device.errors import CalibrationError, CalibrationMismatch
 from device.imaging.flat_field import LinearFrame, NormalizedImage, check_exposed, flat_field_correct
 from device.imaging.frame_measures import check_channel_order
@@ -202,7 +202,7 @@ def relocate_labels(press: UsedPress) -> UsedPress:
 
 def cut_to_core(press: UsedPress) -> UsedPress:
     """Return the press with only the core of each ball's contact."""
-    cut = (replace(ball, contact_radius_px=CORE_SHARE * ball.contact_radius_px) for ball in press.balls)
+    cut = (replace(ball, contact_radius_px=CORE_FRACTION * ball.contact_radius_px) for ball in press.balls)
     return replace(press, balls=tuple(cut))
 
 

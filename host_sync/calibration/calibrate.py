@@ -38,7 +38,7 @@ OPEN_CHOICE_DEG: Final = 2.0
 worse on every set of `docs/paper.md`, real or simulated."""
 
 
-def is_open(direct_deg: float) -> bool:
+def should_try_paper_method(direct_deg: float) -> bool:
     """Return True where the paper's method may be the better one, by the default's held-out error (degrees)."""
     return direct_deg >= OPEN_CHOICE_DEG
 
@@ -129,7 +129,7 @@ class Calibration:
     def preferred(self) -> Method:
         """The method that held-out balls prefer."""
         direct = self.held_out_deg["direct"]
-        return "paper" if is_open(direct) and self.held_out_deg["paper"] < direct else "direct"
+        return "paper" if should_try_paper_method(direct) and self.held_out_deg["paper"] < direct else "direct"
 
     @property
     def paper_model(self) -> PaperModel:
@@ -228,7 +228,7 @@ def _paper(
     """Return held-out errors by method, and the paper's model where it is wanted or may be the better one."""
     direct_deg = models.inverse.held_out_deg
     held_out: dict[Method, float] = {"direct": float("nan") if direct_deg is None else direct_deg}
-    if not wanted and not is_open(held_out["direct"]):
+    if not wanted and not should_try_paper_method(held_out["direct"]):
         return held_out, None
     report_progress("building reflectance maps and the lookup table")
     found = fit_paper_model(models.training)

@@ -173,7 +173,7 @@ def colour_over_brightness(image: NormalizedImage) -> float:
 
 # Grid presses: the lattice helps to find the balls, and the balls measure the pixel pitch.
 
-DEEPEST_SHARE = 0.98
+DEEPEST_FRACTION = 0.98
 """A given contact is held to this share of the ball's radius when the radius in pixels is corrected."""
 
 
@@ -285,4 +285,6 @@ def _rescaled(press: UsedPress, factor: float) -> UsedPress:
 
 def _with_radius(ball: Ball, factor: float) -> Ball:
     radius_px = factor * ball.radius_px
-    return replace(ball, radius_px=radius_px, contact_radius_px=min(ball.contact_radius_px, DEEPEST_SHARE * radius_px))
+    return replace(
+        ball, radius_px=radius_px, contact_radius_px=min(ball.contact_radius_px, DEEPEST_FRACTION * radius_px)
+    )

@@ -17,7 +17,7 @@ from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import REST_NODES, InverseMap
 from device.inverse_map.near_light import IlluminationMap
-from device.inverse_map.noise_bias import less_noise
+from device.inverse_map.noise_bias import correct_noise_bias
 from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.calibration.balls import UsedPress, apply_fit
 from host_sync.calibration.preparation import PreparedPresses, in_reference_light, pressed
@@ -85,9 +85,9 @@ class SlopeModels:
             located = lowered.presses
             begun = fit_to(located, illumination, begun)
         inverse = begun.finished()
-        inverse = replace(inverse, map=less_noise(inverse.map, [press.intensity for press in located]))
+        inverse = replace(inverse, map=correct_noise_bias(inverse.map, [press.intensity for press in located]))
         if prepared.reference:
-            inverse = replace(inverse, map=with_free_skin(inverse.map, pressed(located)))
+            inverse = replace(inverse, map=correct_flat_bias(inverse.map, pressed(located)))
         return cls(apply_fit(located, inverse), centres, inverse, viewpoint, lowered, removes_light)
 
     @cached_property
@@ -275,7 +275,7 @@ MEDIAN_VARIANCE: Final = 1.5
 Pressed = Sequence[tuple[NormalizedImage, Sequence[Ball]]]
 
 
-def with_free_skin(inverse_map: InverseMap, pressed: Pressed) -> InverseMap:
+def correct_flat_bias(inverse_map: InverseMap, pressed: Pressed) -> InverseMap:
     """Return the map less what it reads on the free skin of presses, in `noise_bias`.
 
     pressed : intensity and every ball of each press

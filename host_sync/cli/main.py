@@ -262,7 +262,7 @@ this number once, 0.06.
 """
 
 
-def search_seldom() -> None:
+def raise_gc_threshold() -> None:
     """Search for unreachable cycles every `SEARCH_EVERY` objects from now on."""
     gc.set_threshold(SEARCH_EVERY)
 
@@ -278,7 +278,7 @@ add_commands(app, COMMANDS)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the arguments name; returns the exit code."""
     write_any_sign()
-    search_seldom()
+    raise_gc_threshold()
     # Matrices are small: a library's own threads cost more than they gain, several times as much on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(lambda: _call(sys.argv[1:] if arguments is None else arguments))

@@ -213,7 +213,7 @@ def _reconstruct_scans(
 ) -> list[ScanOutcome]:
     report_progress("loading compiled code")
     announce_compiling()
-    from host_sync.batch.library_batch import ScanWork, reconstruct_all, reconstruct_on_cluster
+    from host_sync.batch.library_batch import ReconstructionOptions, reconstruct_all, reconstruct_on_cluster
     from host_sync.reconstruction.scans import LibraryReconstructor
 
     calibrator = calibrator_for(calibration, report_progress, order.facts, paper=order.method == "paper")
@@ -226,7 +226,7 @@ def _reconstruct_scans(
         detail=order.detail,
         calibrator=calibrator,
     )
-    work = ScanWork(library.root, order.method, order.band, order.force, order.detail)
+    work = ReconstructionOptions(library.root, order.method, order.band, order.force, order.detail)
     if client is None:
         outcomes = reconstruct_all(scans, work, job, order.workers)
     else:

@@ -56,7 +56,7 @@ size."""
 SHARES: Final = (1.0, 1.0 + LEAK, 1.0 + LEAK + LEAK**2)
 """What the detail planes are multiplied by before they are added to the smooth rest; sums to the image."""
 
-PARENT_SHARE: Final = 0.1
+PARENT_FRACTION: Final = 0.1
 """Share of the next coarser plane's energy that speaks for detail of a plane.
 
 Of a sinusoid of 20 px and 17° a rendered sensor keeps 0.98, as without shrinkage, instead of 0.957; untouched skin
@@ -103,7 +103,7 @@ def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
 
 def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
     """Return what speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
-    return np.asarray(np.maximum(energy, np.float32(PARENT_SHARE) * coarser), np.float32)
+    return np.asarray(np.maximum(energy, np.float32(PARENT_FRACTION) * coarser), np.float32)
 
 
 def directional_energy(energy: Float32Array) -> Float32Array:
@@ -148,7 +148,7 @@ _QUARTER: Final = np.float32(0.25)
 _THIRD: Final = np.float32(1.0 / 3.0)
 _FIFTH: Final = np.float32(0.2)
 _LEAK: Final = np.float32(LEAK)
-_PARENT: Final = np.float32(PARENT_SHARE)
+_PARENT: Final = np.float32(PARENT_FRACTION)
 _SHARES: Final = tuple(np.float32(share) for share in SHARES)
 _CONTRACT: Final = {"contract", "nsz"}
 

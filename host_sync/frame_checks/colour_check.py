@@ -16,7 +16,7 @@ from device.inverse_map.model import InverseMap
 from device.surface import Float32Array, MaskArray
 from host_sync.frame_checks.layout_check import HALF_TURNS
 
-TURNED_SHARE: Final = 0.7
+TURNED_FRACTION: Final = 0.7
 """A frame is turned when a turned reference leaves less than this share of what the reference leaves unexplained."""
 
 OUT_OF_DOMAIN_DISTANCE: Final = 0.5
@@ -51,7 +51,7 @@ def check_frame(
     turn = _turn(intensity, flat_field, step)
     if turn is not None:
         warnings.append(f"its light is distributed over the field as if it were {turn}")
-    strange = _strange_share(intensity, inverse, step)
+    strange = _out_of_domain_fraction(intensity, inverse, step)
     if strange > MAX_OUT_OF_DOMAIN:
         warnings.append(f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})")
     return warnings
@@ -91,7 +91,7 @@ def _turn(intensity: NormalizedImage, flat_field: Float32Array, step: int) -> st
     light = np.log(shade) + rest
     left = _unexplained(light - rest)
     for turn in HALF_TURNS:
-        if _unexplained(light - turn.of(rest)) < TURNED_SHARE * left:
+        if _unexplained(light - turn.of(rest)) < TURNED_FRACTION * left:
             return turn.name
     return None
 
@@ -102,7 +102,7 @@ def _unexplained(difference: NDArray[np.float32]) -> float:
     return float(np.median(centred, axis=(0, 1)).mean())
 
 
-def _strange_share(intensity: NormalizedImage, inverse: InverseMap, step: int) -> float:
+def _out_of_domain_fraction(intensity: NormalizedImage, inverse: InverseMap, step: int) -> float:
     usable = intensity.valid[::step, ::step] & ~intensity.clipped[::step, ::step]
     if not usable.any():
         return 0.0

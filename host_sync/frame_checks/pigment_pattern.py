@@ -118,7 +118,7 @@ def in_windows(laid: Float32Array, grid: WindowGrid) -> Float32Array:
     return np.asarray(windows * inner, np.float32)
 
 
-REACH_SHARE: Final = 0.25
+REACH_FRACTION: Final = 0.25
 """Shifts are searched up to this share of a window's side."""
 
 
@@ -200,7 +200,7 @@ class ReferencePattern:
     @property
     def reach_px(self) -> float:
         """Farthest shift that is searched."""
-        return REACH_SHARE * self.grid.side
+        return REACH_FRACTION * self.grid.side
 
     def light(self, intensity: NormalizedImage, flat_field: Float32Array) -> Float32Array:
         """Return a frame's log light in the windows, laid side by side."""

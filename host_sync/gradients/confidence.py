@@ -100,28 +100,28 @@ def extrapolated(
     inverse: InverseMap,
     p: Float32Array,
     q: Float32Array,
-    strange: MaskArray | None = None,
+    out_of_domain: MaskArray | None = None,
 ) -> MaskArray:
     """Return True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
-    strange : `strange_blocks` of the image, where it was computed before
+    out_of_domain : `out_of_domain_blocks` of the image, where it was computed before
     """
     out = np.empty(intensity.shape, np.bool_)
     limit = np.float32((STEEPER * inverse.max_trained_slope) ** 2)
-    blocks = strange_blocks(intensity, inverse) if strange is None else strange
+    blocks = out_of_domain_blocks(intensity, inverse) if out_of_domain is None else out_of_domain
     parallel_rows(_mark, out.shape, p, q, limit, blocks, _step(intensity.shape), out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _mark(p: Any, q: Any, limit: Any, strange: Any, step: int, out: Any, first: int, last: int) -> None:
+def _mark(p: Any, q: Any, limit: Any, out_of_domain: Any, step: int, out: Any, first: int, last: int) -> None:
     """Write where slopes are steep or blocks of `step` pixels strange, and there is a surface at all."""
     columns = out.shape[1]
     block = np.empty(columns, np.bool_)
     for r in range(first, last):
         for c in range(columns):
-            block[c] = strange[r // step, c // step]
+            block[c] = out_of_domain[r // step, c // step]
         _mark_row(p[r], q[r], limit, block, out[r])
 
 
@@ -132,7 +132,7 @@ def _mark_row(p: Any, q: Any, limit: Any, block: Any, out: Any) -> None:
         out[c] = (steep | block[c]) & np.isfinite(p[c])
 
 
-def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
+def out_of_domain_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray:
     """Return the blocks of pixels whose leverage lies beyond the training data: bool array (h, w).
 
     Leverage is computed at one point of every block.
@@ -142,9 +142,9 @@ def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray
     values = intensity.values[step // 2 :: step, step // 2 :: step]
     # A last block that is cut before its middle has no point of its own.
     height, width = -(-rows // step), -(-columns // step)
-    strange = np.zeros((height, width), np.bool_)
+    out_of_domain = np.zeros((height, width), np.bool_)
     if inverse.leverage is None:
-        return strange
+        return out_of_domain
     seen_rows, seen_columns, _ = values.shape
     found = np.zeros((seen_rows, seen_columns), np.bool_)
     across = np.arange(seen_columns) * step + step // 2
@@ -156,8 +156,8 @@ def strange_blocks(intensity: NormalizedImage, inverse: InverseMap) -> MaskArray
     for start in range(0, len(colours), _CHUNK):
         part = slice(start, start + _CHUNK)
         flat[part] = inverse.leverage.relative(inverse.curve, colours[part], place[part]) > MAX_LEVERAGE
-    strange[:seen_rows, :seen_columns] = flat.reshape(found.shape)
-    return strange
+    out_of_domain[:seen_rows, :seen_columns] = flat.reshape(found.shape)
+    return out_of_domain
 
 
 def _step(shape: tuple[int, int]) -> int:

@@ -21,13 +21,13 @@ from host_sync.kernels.parallel_rows import parallel_rows
 FLAT_SLOPES: Final = (0.01, 0.05)
 """Slopes under which a patch of skin counts as flat; the second is tried when the first finds too little."""
 
-PATCH_SHARE: Final = 1.0 / 64.0
+PATCH_FRACTION: Final = 1.0 / 64.0
 """Size of a patch as a share of the frame's columns."""
 
 PATCH_CELLS: Final = 5
 """Cells along a patch; where a patch has fewer pixels, they are the cells."""
 
-MIN_SHARE: Final = 0.02
+MIN_FRACTION: Final = 0.02
 """Share of the valid pixels that untouched skin must make up."""
 
 MAX_SAMPLES: Final = 200_000
@@ -43,14 +43,14 @@ def untouched_mask(gradients: GradientField) -> MaskArray:
 def skin_at_rest(gradients: GradientField) -> MaskArray | None:
     """True where the skin is untouched: bool array of shape (H, W); None when no such place is found."""
     rows, columns = gradients.valid.shape
-    cell = max(1, round(PATCH_SHARE * columns) // PATCH_CELLS)
-    patch = max(3, round(PATCH_SHARE * columns / cell) | 1)
+    cell = max(1, round(PATCH_FRACTION * columns) // PATCH_CELLS)
+    patch = max(3, round(PATCH_FRACTION * columns / cell) | 1)
     p_sum, q_sum, count = cell_sums(gradients.p, gradients.q, gradients.valid, cell)
     known = np.maximum(cv2.blur(count, (patch, patch)), np.float32(1e-3))
     steepness = np.hypot(*(cv2.blur(total, (patch, patch)) / known for total in (p_sum, q_sum)))
     for limit in FLAT_SLOPES:
         flat = _reaching_the_border((count > 0) & (steepness < limit))
-        if count[flat].sum(dtype=np.float64) >= MIN_SHARE * count.sum(dtype=np.float64):
+        if count[flat].sum(dtype=np.float64) >= MIN_FRACTION * count.sum(dtype=np.float64):
             pixels = np.repeat(np.repeat(flat, cell, axis=1), cell, axis=0)
             return gradients.valid & pixels[:rows, :columns]
     return None

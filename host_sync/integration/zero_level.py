@@ -26,16 +26,16 @@ from host_sync.kernels.jit import njit
 NO_ZERO: Final = "no zero: heights are relative, because no untouched skin was found"
 """The warning where nothing was taken for zero."""
 
-FAR_SHARE: Final = 0.2
+FAR_FRACTION: Final = 0.2
 """Of the largest distance from touched skin; skin farther off is far."""
 
-MIN_SHARE: Final = 0.02
+MIN_FRACTION: Final = 0.02
 """Share of the field that flat skin must make up to be the lowest, and far skin to do without the rest of it."""
 
 CORNERS: Final = 4
 """Parts that skin at rest by its light may consist of to make up that share: a large object leaves corners free."""
 
-ALIKE_SHARE: Final = 0.1
+ALIKE_FRACTION: Final = 0.1
 """Flat parts this share of the map's height above the lowest are untouched too: long waves are known least."""
 
 HEIGHT_PERCENT: Final = (1.0, 99.0)
@@ -44,7 +44,7 @@ HEIGHT_PERCENT: Final = (1.0, 99.0)
 MAX_UNDER: Final = 0.01
 """Share of the field that may lie clearly under untouched skin: objects press skin towards the camera only."""
 
-UNDER_SHARE: Final = 0.15
+UNDER_FRACTION: Final = 0.15
 UNDER_FIELD: Final = 0.0016
 """How far under counts as clear: shares of the map's height and of the field's width.
 
@@ -52,7 +52,7 @@ Incompressible gel bulges away from the camera beside an object, by a few per ce
 up to a thousandth of the field, if they are large.
 """
 
-SPREAD_SHARE: Final = 0.7
+SPREAD_FRACTION: Final = 0.7
 """Standard uncertainty of the mean of blocks' heights, as a share of their spread: slope errors add up over the field,
 so that blocks do not err independently.
 
@@ -60,7 +60,7 @@ On eleven rendered devices the mean was off by 0.1 to 0.3 of the spread. Objects
 slopes, were off by 0.7 to 1.7 of it.
 """
 
-SINKING_SHARE: Final = 0.5
+SINKING_FRACTION: Final = 0.5
 """Standard uncertainty of how much skin sinks yet, as a share: elastomers are thicker than a membrane on springs."""
 
 TRIMMED: Final = 0.2
@@ -106,9 +106,9 @@ class Datum:
 
         known_um : root mean square by which those errors let blocks' heights differ
         """
-        share = 1.0 if self.is_relative else SPREAD_SHARE
+        share = 1.0 if self.is_relative else SPREAD_FRACTION
         left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
-        return float(np.hypot(left_um, SINKING_SHARE * self.sinking_um))
+        return float(np.hypot(left_um, SINKING_FRACTION * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:
@@ -141,7 +141,7 @@ def find_datum(
     """
     if at_rest is not None:
         resting = at_rest & gradients.valid
-        low = _far_and_low(resting, gradients.valid, height.z_um, MIN_SHARE / CORNERS)
+        low = _far_and_low(resting, gradients.valid, height.z_um, MIN_FRACTION / CORNERS)
         return no_datum(height, gradients) if low is None else _datum_on(height, low)
     at_rest = skin_at_rest(gradients)
     far = None if at_rest is None else _far_and_low(at_rest, gradients.valid, height.z_um)
@@ -180,12 +180,12 @@ def _is_over_others(height: HeightMap, valid: MaskArray, skin: MaskArray) -> boo
         return False
     low_um, high_um = np.percentile(known_um, HEIGHT_PERCENT)
     field_um = height.z_um.shape[1] * height.pitch_um
-    under_um = max(UNDER_SHARE * float(high_um - low_um), UNDER_FIELD * field_um)
+    under_um = max(UNDER_FRACTION * float(high_um - low_um), UNDER_FIELD * field_um)
     return bool((known_um < height_of_rest_um(height, skin) - under_um).mean() > MAX_UNDER)
 
 
 def _far_and_low(
-    flat: MaskArray, valid: MaskArray, z_um: Float32Array, part_share: float = MIN_SHARE
+    flat: MaskArray, valid: MaskArray, z_um: Float32Array, part_share: float = MIN_FRACTION
 ) -> MaskArray | None:
     """Return the lowest large parts of flat skin, far from all other valid skin: bool (H, W), None without such.
 
@@ -199,8 +199,8 @@ def _far_and_low(
     other = valid[here] & ~resting
     if other.any():
         distance = distance_px(other)
-        away = resting & (distance >= FAR_SHARE * float(distance[resting].max(initial=0.0)))
-        resting = away if away.mean() >= MIN_SHARE else resting
+        away = resting & (distance >= FAR_FRACTION * float(distance[resting].max(initial=0.0)))
+        resting = away if away.mean() >= MIN_FRACTION else resting
     full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     return np.asarray(full & flat)
 
@@ -216,8 +216,8 @@ def _cells(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
 def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> MaskArray:
     """Return the connected parts of a mask that stand about as high as the lowest.
 
-    Together they make up `MIN_SHARE` of the field, else none is returned. What is rough all over has small patches that
-    are flat on average; they are none of these.
+    Together they make up `MIN_FRACTION` of the field, else none is returned. What is rough all over has small patches
+    that are flat on average; they are none of these.
 
     part_share : of the field that each must make up
     """
@@ -230,8 +230,8 @@ def _lowest_parts(flat: MaskArray, z_um: Float32Array, part_share: float) -> Mas
     level = {number: float(np.median(z_um[known & (labels == number)])) for number in large}
     low, high = np.percentile(z_um[np.isfinite(z_um)], HEIGHT_PERCENT)
     for number in sorted(large, key=level.__getitem__):
-        alike = [other for other in large if 0.0 <= level[other] - level[number] <= ALIKE_SHARE * float(high - low)]
-        if share[alike].sum() >= MIN_SHARE:
+        alike = [other for other in large if 0.0 <= level[other] - level[number] <= ALIKE_FRACTION * float(high - low)]
+        if share[alike].sum() >= MIN_FRACTION:
             return np.isin(labels, alike)
     return np.zeros_like(flat)
 
@@ -312,7 +312,7 @@ ACROSS: Final = 160
 SMOOTHING: Final = 2.0
 """Standard deviation, in cells, of the Gaussian that takes noise out of slopes before they are differentiated."""
 
-LOW_SHARE: Final = 0.25
+LOW_FRACTION: Final = 0.25
 """Skin is free, as far as it hangs together with skin at rest, up to this share of the map's height."""
 
 MIN_SINKING_CELLS: Final = 200
@@ -323,7 +323,7 @@ ROUNDS: Final = 5
 OUTLIER: Final = 2.5
 """Cells off by so many standard deviations are left out of the next round's line."""
 
-MAX_SHARE: Final = 0.05
+MAX_FRACTION: Final = 0.05
 """Of the map's height, at most, that skin at rest is taken to stand above zero."""
 
 
@@ -344,12 +344,12 @@ def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArr
     z, across, down = (_smooth(part[whole] * np.float32(1.0 / pixels)) for part in (cells.z_px, cells.p, cells.q))
     bend = np.gradient(across, cell, axis=1) + np.gradient(down, cell, axis=0)
     top_px = float(np.percentile(z, 99.0))
-    low = (z < LOW_SHARE * top_px) & (cells.count[whole] == pixels)
+    low = (z < LOW_FRACTION * top_px) & (cells.count[whole] == pixels)
     free = _joined_to(low, cells.skin[whole] > 0.5 * pixels)
     if int(free.sum()) < MIN_SINKING_CELLS:
         return 0.0
     left_px = _unbent_at(z[free].astype(np.float64), bend[free].astype(np.float64))
-    return float(np.clip(-left_px, 0.0, MAX_SHARE * max(top_px, 0.0)) * height.pitch_um)
+    return float(np.clip(-left_px, 0.0, MAX_FRACTION * max(top_px, 0.0)) * height.pitch_um)
 
 
 def _unbent_at(z: Float64Array, bend: Float64Array) -> float:

@@ -23,14 +23,14 @@ from host_sync.kernels.jit import njit
 # valid pixel is one point; above a million, neighbours on the curve are averaged, which keeps all volumes and resolves
 # ratios to one millionth.
 
-CORE_SHARE: Final = 0.4
+CORE_FRACTION: Final = 0.4
 """Fraction of the curve to which the equivalent straight line is fitted."""
 
-PEAK_SHARE: Final = 0.1
-CORE_END_SHARE: Final = 0.8
+PEAK_FRACTION: Final = 0.1
+CORE_END_FRACTION: Final = 0.8
 """Defaults of the standard: peaks up to 10 % material ratio, valleys from 80 %."""
 
-SXP_SHARES: Final = (0.025, 0.5)
+SXP_FRACTIONS: Final = (0.025, 0.5)
 MAX_POINTS: Final = 1_000_000
 
 
@@ -92,11 +92,11 @@ def functional_parameters(z_um: Float32Array) -> dict[str, float]:
         names = ("Sk", "Spk", "Svk", "Smr1", "Smr2", "Vmp", "Vmc", "Vvc", "Vvv", "Sxp")
         return dict.fromkeys(names, float("nan"))
     return core_parameters(curve) | {
-        "Vmp": curve.material_um(PEAK_SHARE),
-        "Vmc": curve.material_um(CORE_END_SHARE) - curve.material_um(PEAK_SHARE),
-        "Vvc": curve.void_um(PEAK_SHARE) - curve.void_um(CORE_END_SHARE),
-        "Vvv": curve.void_um(CORE_END_SHARE),
-        "Sxp": curve.height_um(SXP_SHARES[0]) - curve.height_um(SXP_SHARES[1]),
+        "Vmp": curve.material_um(PEAK_FRACTION),
+        "Vmc": curve.material_um(CORE_END_FRACTION) - curve.material_um(PEAK_FRACTION),
+        "Vvc": curve.void_um(PEAK_FRACTION) - curve.void_um(CORE_END_FRACTION),
+        "Vvv": curve.void_um(CORE_END_FRACTION),
+        "Sxp": curve.height_um(SXP_FRACTIONS[0]) - curve.height_um(SXP_FRACTIONS[1]),
     }
 
 
@@ -121,7 +121,7 @@ def core_parameters(curve: MaterialRatioCurve) -> dict[str, float]:
 
 def core_line(falling: Float64Array) -> tuple[float, float]:
     """Return heights (µm) at 0 and 100 % of the line fitted to the 40 % of the curve with the flattest secant."""
-    span = max(round(CORE_SHARE * falling.size), 2)
+    span = max(round(CORE_FRACTION * falling.size), 2)
     drop = falling[: falling.size - span + 1] - falling[span - 1 :]
     start = int(drop.argmin())
     part = falling[start : start + span]

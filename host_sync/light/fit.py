@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball, BallSamples, gather_samples, pixels_inside, sphere_slopes
-from device.calibration.fit import CORE_SHARE
+from device.calibration.fit import CORE_FRACTION
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface import Float32Array, Float64Array, GradientField, HeightMap
@@ -294,7 +294,7 @@ def confirmed_fraction(
     agreed, square, number = 0.0, 1e-30, 0
     for image, balls in OverCells((), (), cell_px(presses[0][0].shape)).means_of(presses):
         for ball in balls:
-            core = replace(ball, contact_radius_px=CORE_SHARE * ball.contact_radius_px)
+            core = replace(ball, contact_radius_px=CORE_FRACTION * ball.contact_radius_px)
             row, column = pixels_inside(core, image.shape)
             steep = np.hypot(*sphere_slopes(ball, column.astype(np.float32), row.astype(np.float32)))
             some = np.flatnonzero(image.faithful[row, column] & (steep < MAP_REACH * light.model.steepest))

@@ -19,7 +19,7 @@ from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.kernels.jit import njit
-from host_sync.measurement.geometry import MIN_SHARE, SkinPlaces
+from host_sync.measurement.geometry import MIN_FRACTION, SkinPlaces
 from host_sync.measurement.recipe import CircleTable
 from host_sync.profile.profile_line import bilinear
 
@@ -27,17 +27,17 @@ RAYS: Final = 360
 REACH: Final = 0.4
 """Rays run from one less this fraction of the radius to one more."""
 
-LEVEL_SHARE: Final = 0.2
+LEVEL_FRACTION: Final = 0.2
 """Fraction of a ray at either end that gives the level inside and outside."""
 
-MIN_STEP_SHARE: Final = 0.3
+MIN_STEP_FRACTION: Final = 0.3
 """A ray counts if its step is at least this fraction of the median ray's, to the same side."""
 
 MIN_RAYS: Final = RAYS // 6
 MAX_STEP_SPREAD: Final = 0.35
 """Largest median deviation of the rays' steps, in their median: edges have 0.2 or less, slopes and noise 0.45 on."""
 
-MAX_OFF_SHARE: Final = 0.06
+MAX_OFF_FRACTION: Final = 0.06
 """Largest median distance of the places from the circle, radii: edges that lie anywhere on their rays have 0.2."""
 
 MIN_EDGE: Final = 0.02
@@ -106,14 +106,14 @@ def _once(
     along = radius_um * np.linspace(1.0 - REACH, 1.0 + REACH, count)
     heights, seen = bilinear(z_um, (centre + along[None, :, None] * way[:, None]) / places.pitch_um)
     heights = np.where(seen, heights, np.nan)
-    part = max(2, round(LEVEL_SHARE * count))
+    part = max(2, round(LEVEL_FRACTION * count))
     whole = seen[:, :part].any(axis=1) & seen[:, -part:].any(axis=1)
     inside, outside = np.full(RAYS, np.nan), np.full(RAYS, np.nan)
     inside[whole] = np.nanmedian(heights[whole, :part], axis=1)
     outside[whole] = np.nanmedian(heights[whole, -part:], axis=1)
     step = inside - outside
     usual = float(np.nanmedian(step)) if whole.any() else 0.0
-    used = whole & (step * np.sign(usual) > MIN_STEP_SHARE * abs(usual))
+    used = whole & (step * np.sign(usual) > MIN_STEP_FRACTION * abs(usual))
     edge = np.full(RAYS, np.nan)
     for ray in np.flatnonzero(used):
         edge[ray] = _crossing(along, (heights[ray] - outside[ray]) / step[ray], radius_um, level)
@@ -131,7 +131,7 @@ def _once(
     if not 0.0 < radius < np.inf or weight.sum() == 0.0:
         raise MeasurementError(problem)
     distance = np.hypot(*(seen_um - (column, row)).T)
-    if np.median(np.abs(distance - radius)) > MAX_OFF_SHARE * radius:
+    if np.median(np.abs(distance - radius)) > MAX_OFF_FRACTION * radius:
         raise MeasurementError(problem)
     grid = column, row, radius
     skin_um = places.of_seen(seen_um, outside[known] + level * step[known])
@@ -306,7 +306,7 @@ def fit_sphere(z_um: Float32Array, places: SkinPlaces, start: Sphere | None = No
         raise MeasurementError(f"a sphere needs four valid pixels, found {int(valid.sum())}: widen the region")
     width_um = places.pitch_um * max(z_um.shape)
     middle = start or _algebraic(z_um, valid, places.pitch_um)
-    grid = np.array([places.pitch_um, *places.middle_um, places.nearness_per_um, *places.level, MIN_SHARE])
+    grid = np.array([places.pitch_um, *places.middle_um, places.nearness_per_um, *places.level, MIN_FRACTION])
     state = np.array([middle.column_um, middle.row_um, middle.height_um, abs(middle.radius_um)])
     for _ in range(MAX_STEPS):
         normal, right, _ = _step(z_um, grid, state)

@@ -166,7 +166,7 @@ def _height_at(z_um: Float32Array, pitch_um: float, place: Float64Array) -> floa
 # of the field than its pixel does there, by the share z / h, where h is the height of the camera's pupil
 # (`device/balls/sphere.py`).
 
-MIN_SHARE: Final = 0.2
+MIN_FRACTION: Final = 0.2
 """Skin that is said to stand nearer to the camera than this share of its height is taken to stand there."""
 
 
@@ -242,7 +242,7 @@ class SkinPlaces:
         """Return lengths on skin of these heights over what they would be untouched."""
         zero_um, across, down = self.level
         over_skin_um = np.asarray(z_um, np.float64) + (zero_um + across * x + down * y)
-        return np.maximum(1.0 - self.nearness_per_um * over_skin_um, MIN_SHARE)
+        return np.maximum(1.0 - self.nearness_per_um * over_skin_um, MIN_FRACTION)
 
 
 # Footprint of a measurand on the field: points all over it, for the doubts that hold for parts of the field.

@@ -104,9 +104,9 @@ def _form(name: str, height: HeightMap, places: SkinPlaces) -> FormRemoval | Non
     return PolynomialForm(np.isfinite(height.z_um), degree)
 
 
-EDGE_SHARE: Final = 0.25
-MASKED_SHARE: Final = 0.1
-BEYOND_SHARE: Final = 0.005
+EDGE_FRACTION: Final = 0.25
+MASKED_FRACTION: Final = 0.1
+BEYOND_FRACTION: Final = 0.005
 """Fractions of the area from which filter ends, holes and extrapolated slopes cause a warning."""
 
 MIN_LENGTHS: Final = 5.0
@@ -211,11 +211,11 @@ class ArealMeasurand:
         """Return warnings about filter ends, mask, extrapolated slopes and field size."""
         every = []
         edge = self._preparation.edge_fraction()
-        if edge > EDGE_SHARE:
+        if edge > EDGE_FRACTION:
             every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
-        if self.masked_share > MASKED_SHARE:
+        if self.masked_share > MASKED_FRACTION:
             every.append(f"{self.masked_share:.0%} of the area is masked: the surface there may differ")
-        if self._beyond_share > BEYOND_SHARE:
+        if self._beyond_share > BEYOND_FRACTION:
             done = "it is kept"
             if self._left_out is not None:
                 done = "it is left out, the effect is in the ±, and --keep-extrapolated keeps it"

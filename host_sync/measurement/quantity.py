@@ -14,7 +14,7 @@ from host_sync.results.record import DoubtKind
 
 MIN_DRAWS: Final = 4
 NOISE_WARNING: Final = 0.5
-NOISE_SHARE: Final = 0.05
+NOISE_FRACTION: Final = 0.05
 """Noise bias, as a fraction of the uncertainty and of the value: above both, the number gets a warning."""
 
 DIRECTION_STEP_DEG: Final = 0.5

@@ -129,7 +129,7 @@ MARGIN: Final = 0.06
 """Cut beyond the overlap, as a fraction of the field: a candidate is that far off."""
 
 MIN_SIDE_PX: Final = 20
-MIN_SHARE: Final = 0.04
+MIN_FRACTION: Final = 0.04
 """Least overlap, as a fraction of the field."""
 
 PATIENCE: Final = 5
@@ -277,7 +277,7 @@ def linked(presses: list[Small], candidate: Candidate) -> Link | None:
 
 def _refusal(found: Fit, pair: Pair, one: Small) -> str:
     """Return why a fit is no link; empty when it is one."""
-    if float(found.common.sum()) < MIN_SHARE * one.z_um.size:
+    if float(found.common.sum()) < MIN_FRACTION * one.z_um.size:
         return "they hardly overlap there"
     if found.agreement < MIN_AGREEMENT:
         return f"their slopes agree by only {100.0 * max(found.agreement, 0.0):.0f} %"

@@ -19,10 +19,10 @@ from device.surface import Float64Array, MaskArray
 from host_sync.errors import MeasurementError
 from host_sync.profile.profile_line import Profile
 
-IGNORED_SHARE: Final = 1.0 / 3.0
+IGNORED_FRACTION: Final = 1.0 / 3.0
 """Fraction of the groove's width that is ignored at each side of an edge."""
 
-OTHER_SHARES: Final = (0.25, 0.4)
+OTHER_FRACTIONS: Final = (0.25, 0.4)
 """Fractions that might be ignored as well: what they change is an uncertainty of the definition."""
 
 GAP_FLANKS: Final = 2.0
@@ -85,7 +85,7 @@ class StepEdges:
 
 
 def step_height_um(
-    profile: Profile, edges: StepEdges, ignored: float = IGNORED_SHARE, reach: float = REACH_FLANKS
+    profile: Profile, edges: StepEdges, ignored: float = IGNORED_FRACTION, reach: float = REACH_FLANKS
 ) -> float:
     """Return the height of the step from left to right, or of the ridge above its surroundings.
 
@@ -111,7 +111,7 @@ def definition_sigma_um(profile: Profile, edges: StepEdges) -> float:
     """
     found = [step_height_um(profile, edges)]
     room = room_share(profile, edges)  # a line that is too short varies what it has
-    for ignored, reach in zip(OTHER_SHARES, OTHER_REACHES, strict=True):
+    for ignored, reach in zip(OTHER_FRACTIONS, OTHER_REACHES, strict=True):
         try:
             found.append(step_height_um(profile, edges, ignored, min(room, 1.0) * reach))
         except MeasurementError:
@@ -140,7 +140,7 @@ def require_step(profile: Profile, edges: StepEdges, *, are_found: bool) -> None
     """
     height = step_height_um(profile, edges)
     used = used_samples(profile, edges)
-    sides = _sides(profile, edges, IGNORED_SHARE, REACH_FLANKS)[used]
+    sides = _sides(profile, edges, IGNORED_FRACTION, REACH_FLANKS)[used]
     along, z_um = profile.along_um[used], profile.z_um[used]
     place = (along - along.mean()) / np.ptp(along)
     line, smooth = (_rest(np.vander(place, degree + 1), z_um) for degree in (1, SMOOTH_DEGREE))
@@ -177,14 +177,14 @@ def _rest(design: Float64Array, z_um: Float64Array) -> float:
 
 def lines_um(profile: Profile, edges: StepEdges) -> tuple[Float64Array, Float64Array]:
     """Return both fitted lines at every sample, µm: beside the groove and in it, or right and left of the step."""
-    slope, middle, height = _fitted(profile, edges, IGNORED_SHARE, REACH_FLANKS)
+    slope, middle, height = _fitted(profile, edges, IGNORED_FRACTION, REACH_FLANKS)
     base = slope * profile.along_um + middle
     return base - 0.5 * height, base + 0.5 * height
 
 
 def used_samples(profile: Profile, edges: StepEdges) -> MaskArray:
     """Return samples that the lines are fitted to: bool array of shape (N,)."""
-    return np.asarray((_sides(profile, edges, IGNORED_SHARE, REACH_FLANKS) != 0) & np.isfinite(profile.z_um))
+    return np.asarray((_sides(profile, edges, IGNORED_FRACTION, REACH_FLANKS) != 0) & np.isfinite(profile.z_um))
 
 
 def room_share(profile: Profile, edges: StepEdges) -> float:

@@ -228,18 +228,18 @@ class RestPrior:
         if resting.mean() < MIN_RESTING:
             return None
         at_rest = (np.float32(1.0) - kept) ** 4
-        sure = np.float32(1.0) + np.float32(REST_INFORMATION - 1.0) * at_rest
+        weight = np.float32(1.0) + np.float32(REST_INFORMATION - 1.0) * at_rest
         p, q = (kept * _cell_means(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
-        field = GradientField(p, q, np.ones(kept.shape, np.bool_), sure)
+        field = GradientField(p, q, np.ones(kept.shape, np.bool_), weight)
         z = integrate(field, 1.0)[0].z_um
         z -= np.median(z[resting])
         highest = float(np.percentile(z, HIGHEST_PERCENT))
         if highest <= 0.0:
-            return cls(kept, sure)
+            return cls(kept, weight)
         rise = np.clip((z / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
         contact = rise * rise * (3.0 - 2.0 * rise)
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
-        return cls(kept, np.asarray(sure * information, np.float32))
+        return cls(kept, np.asarray(weight * information, np.float32))
 
     @property
     def resting(self) -> float:

@@ -24,7 +24,7 @@ from host_sync.reconstruction.heights import (
     sharpened,
     with_raw_detail,
 )
-from host_sync.reconstruction.reading_uncertainty import BeforeHeights, slope_error_of, uncertainty_of
+from host_sync.reconstruction.reading_uncertainty import HeightIndependentTerms, slope_error_of, uncertainty_of
 from host_sync.reconstruction.slope_reading import SlopeReading, raise_on_warnings, read_slopes
 from host_sync.results.files import DetailName
 from host_sync.results.record import FrameCheck, SlopeNoise
@@ -112,25 +112,27 @@ def reconstruct(
     resting = RestingSlopes.of(reading, keep_noise=keep_noise)
     integrated, integration = resting.integrate()
     # Started only now: integration keeps all threads busy, the search for the zero one.
-    before_heights = BackgroundCall(BeforeHeights.of, reading)
-    before_heights.start()
+    height_independent = BackgroundCall(HeightIndependentTerms.of, reading)
+    height_independent.start()
     noise = noise_of(frame, calibration)
     heights = Heights.of(resting, sharpened(integrated, noise), reading)
     raise_on_warnings([*reading.warnings, *heights.unlit], name, force=force)
     slopes = surface_slopes(heights.height)
     nonintegrable = nonintegrable_residual(heights.gradients, *slopes)
     uncertainty = BackgroundCall(
-        uncertainty_of, heights.height, heights.gradients, nonintegrable, reading, heights.datum, before_heights
+        uncertainty_of, heights.height, heights.gradients, nonintegrable, reading, heights.datum, height_independent
     )
     uncertainty.start()
     surface = _Surface.of(heights, slopes, resting, reading, noise, detail)
     intensity, inverse_map = reading.first.intensity, calibration.inverse.map
-    strange = extrapolated(intensity, inverse_map, surface.p, surface.q, reading.first.meanwhile.result().strange)
+    out_of_domain = extrapolated(
+        intensity, inverse_map, surface.p, surface.q, reading.first.uncorrected_results.result().out_of_domain
+    )
     if resting.prior is not None and not heights.datum.is_relative:
-        strange &= ~heights.datum.skin
-    unsure = before_heights.result().unsure.with_unresolved(*slopes)
+        out_of_domain &= ~heights.datum.skin
+    of_calibration = height_independent.result().calibration.with_unresolved(*slopes)
     kept, error = noise.shrunk_kept if noise else NOISE_KEPT, slope_error_of(calibration, reading.method)
-    sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, unsure, kept)
+    sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, of_calibration, kept)
     known = uncertainty.result()
     return Reconstruction(
         method=reading.method,
@@ -142,7 +144,7 @@ def reconstruct(
         slope_sigma=surface.sigma(sigma, slopes, noise),
         gradients=surface.gradients,
         integration=integration,
-        extrapolated=strange,
+        extrapolated=out_of_domain,
         clipped_share=float(np.count_nonzero(intensity.clipped)) / intensity.clipped.size,
         warnings=(*reading.warnings, *heights.unlit, *([NO_ZERO] if heights.datum.is_relative else [])),
         frame_checks=(

@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeforeHeights:
+class HeightIndependentTerms:
     """Parts of a result that do not depend on its heights, so that both are computed at once.
 
-    unsure : what the calibration does not know of slopes, on the reduced field (h, w)
+    calibration : what the calibration does not know of slopes, on the reduced field (h, w)
     shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
         where nothing corrects slopes
     draws : random numbers behind the samples of height errors
     """
 
-    unsure: CalibrationUncertainty
+    calibration: CalibrationUncertainty
     shadow: tuple[Float32Array, Float32Array] | None
     draws: SlopeDraws
 
     @classmethod
-    def of(cls, reading: SlopeReading) -> BeforeHeights:
-        """That of a reading's result."""
+    def of(cls, reading: SlopeReading) -> HeightIndependentTerms:
+        """Return the terms of a reading's result."""
         first, shape = reading.first, reading.first.intensity.shape
         size = reduced_size(shape)
-        unsure = _calibration_uncertainty(reading, size)
+        calibration = _calibration_uncertainty(reading, size)
         shadow = None if first.correction is None else first.correction.sigma(size)
-        draws = height_draws(slope_error_of(first.calibration, reading.method), shape, unsure, shadow)
-        return cls(unsure, shadow, draws)
+        draws = height_draws(slope_error_of(first.calibration, reading.method), shape, calibration, shadow)
+        return cls(calibration, shadow, draws)
 
 
 def uncertainty_of(
@@ -59,16 +59,16 @@ def uncertainty_of(
     nonintegrable: Float32Array,
     reading: SlopeReading,
     datum: Datum,
-    before_heights: BackgroundCall[BeforeHeights],
+    height_independent: BackgroundCall[HeightIndependentTerms],
 ) -> HeightUncertainty:
     """Return the uncertainty of heights.
 
     height : with shrunk detail, levelled to the datum
     gradients : as they were integrated, of a camera nearby times what elevation changes, with their confidence
     nonintegrable : as `nonintegrable_residual` returns it for them
-    before_heights : of the same reading
+    height_independent : of the same reading
     """
-    before, calibration = before_heights.result(), reading.first.calibration
+    terms, calibration = height_independent.result(), reading.first.calibration
     return height_uncertainty(
         height,
         gradients,
@@ -76,9 +76,9 @@ def uncertainty_of(
         slope_error_of(calibration, reading.method),
         datum,
         known_scale_share(calibration),
-        calibration=before.unsure,
-        shadow=before.shadow,
-        draws=before.draws,
+        calibration=terms.calibration,
+        shadow=terms.shadow,
+        draws=terms.draws,
     )
 
 
@@ -87,9 +87,9 @@ def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> Ca
     first = reading.first
     replicas = first.calibration.inverse.replicas if reading.method == "direct" else ()
     correction = first.correction
-    if correction is None or correction.unsure is None:
+    if correction is None or correction.slope_deviations is None:
         return calibration_uncertainty(first.intensity, replicas, size)
-    of_correction = CalibrationUncertainty.of(correction.unsure(), size)
+    of_correction = CalibrationUncertainty.of(correction.slope_deviations(), size)
     if correction.left_alone is None or not correction.left_alone.any():
         return of_correction
     share = np.asarray(cv2.resize(correction.left_alone, size, interpolation=cv2.INTER_LINEAR), np.float32)

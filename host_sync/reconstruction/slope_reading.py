@@ -22,7 +22,7 @@ from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.frame_checks.colour_check import check_frame
 from host_sync.frame_checks.level_check import check_light
-from host_sync.gradients.confidence import even_confidence, strange_blocks
+from host_sync.gradients.confidence import even_confidence, out_of_domain_blocks
 from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity, take_out_light
 from host_sync.gradients.inverse_map_kernel import SlopeKernel
 from host_sync.johnson2009.model import estimate_gradients
@@ -106,15 +106,16 @@ def read_light_sequence(scan: ScanBundle) -> LightSequence | str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Meanwhile:
+class UncorrectedResults:
     """Results on a frame that do not depend on its correction, and are computed beside it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
-    strange : as `strange_blocks` returns it; None of other lights than the first three, whose pixels are those of all
+    out_of_domain : as `out_of_domain_blocks` returns it; None of other lights than the first three, whose pixels are
+        those of all
     """
 
     raw: GradientField | None
-    strange: MaskArray | None
+    out_of_domain: MaskArray | None
 
     @classmethod
     def of(
@@ -124,13 +125,13 @@ class Meanwhile:
         calibration: Calibration,
         method: Method,
         is_first: bool,
-    ) -> Meanwhile:
+    ) -> UncorrectedResults:
         """Return the results of a frame as seen and with its noise shrunk, the same where none was.
 
         is_first : whether these are the first three lights
         """
         found = None if intensity is raw else uncorrected(raw, calibration, method, intensity)
-        return cls(found, strange_blocks(intensity, calibration.inverse.map) if is_first else None)
+        return cls(found, out_of_domain_blocks(intensity, calibration.inverse.map) if is_first else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +142,7 @@ class ChannelReading:
     gradients : slopes of `intensity`, corrected
     correction : what the light model changes in slopes of both, at the middles of cells; None by the paper's method and
         where held-out balls do not confirm the model
-    meanwhile : found while the correction was looked for
+    uncorrected_results : found while the correction was looked for
     rest : where the light is that of skin at rest; None without a reference
     """
 
@@ -151,7 +152,7 @@ class ChannelReading:
     checks: tuple[FrameCheck, ...]
     gradients: GradientField
     correction: CellCorrection | None
-    meanwhile: BackgroundCall[Meanwhile]
+    uncorrected_results: BackgroundCall[UncorrectedResults]
     rest: RestEvidence | None = None
 
 
@@ -197,7 +198,7 @@ class SlopeReading:
         """
         found = []
         for group in self.groups:
-            gradients = group.meanwhile.result().raw
+            gradients = group.uncorrected_results.result().raw
             if gradients is None:
                 found.append(group.gradients)
                 continue
@@ -273,8 +274,8 @@ def _read_channels(
     if not warnings:
         warnings = colours.result()
         raise_on_warnings(warnings, name, force=force)
-    meanwhile = BackgroundCall(Meanwhile.of, raw, intensity, calibration, method, is_first)
-    meanwhile.start()
+    uncorrected_results = BackgroundCall(UncorrectedResults.of, raw, intensity, calibration, method, is_first)
+    uncorrected_results.start()
     alone = None if sequence is None else sequence.over_untouched(intensity, calibration.flat_field)
     correction = None
     if method == "direct" and calibration.light.confirmed:
@@ -282,7 +283,9 @@ def _read_channels(
             gradients, intensity, calibration.light, calibration.prior_sigma, calibration.elevation, alone, rest
         )
         correction.apply(gradients)
-    return ChannelReading(calibration, raw, intensity, checks, gradients, correction, meanwhile, rest), warnings
+    return ChannelReading(
+        calibration, raw, intensity, checks, gradients, correction, uncorrected_results, rest
+    ), warnings
 
 
 def raise_on_warnings(warnings: Sequence[str], name: str, *, force: bool) -> None:

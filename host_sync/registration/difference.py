@@ -13,7 +13,7 @@ from host_sync.errors import RegistrationRefused, ViewError
 from host_sync.registration.fit import at_pitch, centred, moved
 from host_sync.registration.register import MIN_AGREEMENT, NOTHING_IN_COMMON, Registration, register
 
-MIN_SHARE: Final = 0.02
+MIN_FRACTION: Final = 0.02
 """Least common field, as a fraction of the first map."""
 
 MAX_EQUATIONS: Final = 30_000
@@ -89,7 +89,7 @@ def difference(
     pitch_um, pose = first.pitch_um, found.pose
     rest = moved(at_pitch(second, pitch_um), pose, first.z_um.shape, 1) - first.z_um
     known = np.isfinite(rest)
-    if known.mean() < MIN_SHARE:
+    if known.mean() < MIN_FRACTION:
         raise ViewError(NOTHING_IN_COMMON)
     level = _level(rest, known)
     row, column = centred(rest.shape, rest.shape, 1)

@@ -44,7 +44,7 @@ TURN_GAIN: Final = 0.97
 """A turn is accepted when the mean squared slope difference falls below this fraction of that without a turn."""
 
 HOPS_DEG: Final = (-8.0, -4.0, 4.0, 8.0)
-HOP_SHARE: Final = 0.05
+HOP_FRACTION: Final = 0.05
 """Turns and shifts (fraction of the field) around the best coarse fit that are tried as well."""
 
 SEEN_TURN_DEG: Final = 0.05
@@ -228,7 +228,7 @@ def _around(pose: Pose, coarse: Pair) -> Iterator[Pose]:
     for turn_deg in HOPS_DEG:
         turned = pose.moved_by(0.0, 0.0, float(np.radians(turn_deg)))
         yield turned.moved_by(*(pose.of(place) - turned.of(place)))
-    hop = HOP_SHARE * max(coarse.first.shape) * coarse.step
+    hop = HOP_FRACTION * max(coarse.first.shape) * coarse.step
     for down, right in ((hop, 0.0), (-hop, 0.0), (0.0, hop), (0.0, -hop)):
         yield pose.moved_by(down, right)
 

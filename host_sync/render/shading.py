@@ -154,7 +154,7 @@ def _tint(z_um: Any, brightness: Any, low: Any, share: Any, flat: Any, table: An
 
 
 DIRECTIONS: Final = 16
-REACH_SHARE: Final = 0.15
+REACH_FRACTION: Final = 0.15
 """Reach of ambient occlusion, as a fraction of the height map's diagonal."""
 
 SHADOW_SOFTNESS: Final = 0.06
@@ -165,7 +165,7 @@ def ambient_occlusion(height: HeightMap, exaggeration: float) -> Float32Array:
     """Return the fraction of a diffuse sky that each pixel sees: float32 array of shape (H, W), NaN where invalid."""
     total = np.zeros(height.z_um.shape, np.float32)
     for turn in np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS):
-        tangent = _horizon(height, exaggeration, float(turn), REACH_SHARE)
+        tangent = _horizon(height, exaggeration, float(turn), REACH_FRACTION)
         total += 1.0 / (1.0 + np.maximum(tangent, np.float32(0.0)) ** 2)
     return np.where(np.isfinite(height.z_um), total / np.float32(DIRECTIONS), np.float32(np.nan))
 

@@ -21,7 +21,7 @@ from device.calibration.acceptance import SECTORS, sector_indices
 from device.surface import Float64Array
 from host_sync.results.record import REPLACED, Doubt, DoubtKind, ResultRecord, SequenceRecord, read_record, refusals
 
-EXTRAPOLATED_SHARE: Final = 0.005
+EXTRAPOLATED_FRACTION: Final = 0.005
 """Fraction of the field, or of a measured place, from which extrapolated slopes are a doubt."""
 
 FOREIGN_METHOD: Final = "foreign file"
@@ -95,7 +95,7 @@ def doubts_at(
             found.append(doubt)
         elif here := tuple(name for name in doubt.sectors if name in inside):
             found.append(_uncovered(here))
-    if extrapolated_share is not None and extrapolated_share > EXTRAPOLATED_SHARE:
+    if extrapolated_share is not None and extrapolated_share > EXTRAPOLATED_FRACTION:
         found.append(_extrapolated(extrapolated_share, "the measured place"))
     return tuple(found)
 
@@ -106,7 +106,7 @@ def _of_record(record: ResultRecord) -> Iterator[Doubt]:
         yield Doubt("failed calibration", f"the calibration did not pass its checks{f': {why}' if why else ''}")
     if record.uncovered_sectors:
         yield _uncovered(record.uncovered_sectors)
-    if (record.extrapolated_share or 0.0) > EXTRAPOLATED_SHARE:
+    if (record.extrapolated_share or 0.0) > EXTRAPOLATED_FRACTION:
         yield _extrapolated(record.extrapolated_share or 0.0, "the field")
     drifted = set(refusals(check for check in record.frame_checks if check.name in DRIFT_CHECKS))
     unlike = set(refusals(record.frame_checks)) - drifted

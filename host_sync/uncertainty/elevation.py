@@ -28,7 +28,7 @@ MAX_PRESSES: Final = 3
 CELL_PX: Final = 4
 """Pixels of a cell that is small enough for an apex."""
 
-NEAREST_SHARE: Final = 0.2
+NEAREST_FRACTION: Final = 0.2
 """No light is taken to stand lower than five times the balls' apexes."""
 
 
@@ -74,7 +74,7 @@ def elevation_correction(
     radius_px = float(np.median([ball.radius_px for _, balls in presses for ball in balls]))
     shown = [(image, balls) for image, balls in presses if balls][:MAX_PRESSES]
     apex_px = float(np.median([apex for image, balls in shown for apex in apexes_px(image, balls, inverse)]))
-    most = NEAREST_SHARE / max(apex_px, 1.0)
+    most = NEAREST_FRACTION / max(apex_px, 1.0)
     return ElevationCorrection(apex_px, radius_px, min(nearness_per_px(training, inverse.shape), most))
 
 

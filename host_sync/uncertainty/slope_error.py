@@ -32,14 +32,14 @@ from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.uncertainty.calibration_uncertainty import believed_gains, gains_of_ball, with_gains
 from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
 
-SPLIT_SHARE: Final = 0.1
+SPLIT_FRACTION: Final = 0.1
 """Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
 
 TILT_EDGES_DEG: Final = (0.0, 4.0, 10.0, 20.0, 30.0, 40.0, 50.0, 90.0)
 """Borders of the bands of steepness that have figures of their own."""
 
 ONE_SIGMA_PERCENT: Final = 68.27
-INNER_SHARE: Final = 0.9
+INNER_FRACTION: Final = 0.9
 """Share of a contact over which slope errors are added up to errors of height."""
 
 MIN_PIXELS: Final = 50
@@ -189,7 +189,7 @@ def _by_band(errors: Sequence[_BallError]) -> list[tuple[float, float, float]]:
     """Return the middle tilt of each band that balls show, and its pixel and patch part, degrees."""
     tilts, pixels, patches = [np.zeros(0)], [np.zeros((2, 0))], [np.zeros((2, 0))]
     for error in errors:
-        sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+        sigma_px = max(SPLIT_FRACTION * error.ball.contact_radius_px, 1.0)
         square = (error.truth**2).sum(axis=0)
         angle = error.slope / (1.0 + square)
         smooth = np.stack([_masked_blur(part, error.inside, sigma_px) for part in angle])
@@ -234,7 +234,7 @@ class _HeightErrors:
 
 def _height_errors(error: _BallError) -> _HeightErrors:
     rows, columns = error.inside.shape
-    length = INNER_SHARE * error.ball.contact_radius_px
+    length = INNER_FRACTION * error.ball.contact_radius_px
     radius = (np.arange(STEPS) + 0.5) * length / STEPS
     angle = np.arange(RAYS)[:, None] * (2.0 * np.pi / RAYS)
     column = np.rint(error.ball.column + radius * np.cos(angle)).astype(np.intp)
@@ -242,7 +242,7 @@ def _height_errors(error: _BallError) -> _HeightErrors:
     seen = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
     seen &= error.inside[row, column]
-    sigma_px = max(SPLIT_SHARE * error.ball.contact_radius_px, 1.0)
+    sigma_px = max(SPLIT_FRACTION * error.ball.contact_radius_px, 1.0)
     smooth = [_masked_blur(part, error.inside, sigma_px)[row, column] for part in error.slope]
     radial = np.where(seen, smooth[0] * np.cos(angle) + smooth[1] * np.sin(angle), 0.0)
     heights = radial.sum(axis=1) * length / STEPS
@@ -334,7 +334,7 @@ MAX_SAMPLES: Final = 20_000
 MEAN_OF_TWO: Final = float(np.sqrt(np.pi / 2.0))
 """Mean angle of the normal when each of its two components errs by a standard deviation of 1 (Rayleigh)."""
 
-MIN_SHARE: Final = 0.1
+MIN_FRACTION: Final = 0.1
 """Whatever its noise, this share of the fitted error's square counts as the map's."""
 
 
@@ -353,7 +353,7 @@ class BandErrors:
         pixel_deg : standard deviation of a component from pixel to pixel
         """
         noise = (MEAN_OF_TWO * pixel_deg) ** 2
-        fitted = max(self.fitted_deg**2 - noise, MIN_SHARE * self.fitted_deg**2)
+        fitted = max(self.fitted_deg**2 - noise, MIN_FRACTION * self.fitted_deg**2)
         return float(np.sqrt(max((self.held_out_deg**2 - self.fitted_deg**2) / fitted, 0.0) + 1.0))
 
 

@@ -317,10 +317,10 @@ class FrameSigma:
         """
         gradients, correction = reading.gradients, reading.correction
         nonintegrable = nonintegrable_residual(gradients, *surface_slopes(height))
-        if correction is None or correction.unsure is None:
+        if correction is None or correction.slope_deviations is None:
             unknown = calibration_uncertainty(image, self._replicas, self._size)
         else:
-            unknown = CalibrationUncertainty.of(correction.unsure(), self._size)
+            unknown = CalibrationUncertainty.of(correction.slope_deviations(), self._size)
         found = height_uncertainty(
             HeightMap(self._less(height.z_um), height.pitch_um * self._step),
             GradientField(

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from host_sync.cli.main import search_seldom
+from host_sync.cli.main import raise_gc_threshold
 from host_sync.kernels.cache import configure_cache, holds_kernels
 from tests.demo.programme import ACTS, BALL_RADIUS_MM, VERDICT, Act, Shown
 
@@ -89,7 +89,7 @@ def _show(stage: Stage, acts: list[Future[list[Shown]]], tasks: dict[str, TaskID
 
 def _begin(stage: Stage) -> None:
     """Begin a process."""
-    search_seldom()
+    raise_gc_threshold()
     STAGES.append(stage)
 
 

@@ -12,7 +12,7 @@ from device.surface import Float32Array
 from hal.simulator.bench import TwinTruth
 from host_sync.reconstruction.pipeline import Reconstruction
 
-INNER_SHARE = 0.9
+INNER_FRACTION = 0.9
 """Pixels within this fraction of the contact radius are evaluated: at the rim the skin lifts off the object."""
 
 
@@ -80,4 +80,4 @@ def judge(found: Reconstruction, truth: TwinTruth, ball_radius_um: float) -> Jud
 def _inner(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Contact pixels farther from its rim than a tenth of its largest inscribed radius."""
     depth = distance_transform_edt(contact)
-    return np.asarray(depth > (1.0 - INNER_SHARE) * depth.max())
+    return np.asarray(depth > (1.0 - INNER_FRACTION) * depth.max())

@@ -20,7 +20,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from device.surface import Float32Array, HeightMap, surface_slopes
 from hal.simulator.bench import TwinTruth
 
-INNER_SHARE: Final = 0.9
+INNER_FRACTION: Final = 0.9
 INVALID_DEG: Final = 15.0
 SMOOTHING_PX: Final = 2.0
 
@@ -63,7 +63,7 @@ def inner_contact(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Contact pixels within 0.9 of the contact radius: farther from the rim than a tenth of its largest inscribed
     radius."""
     depth = np.asarray(distance_transform_edt(contact))
-    return np.asarray(depth > (1.0 - INNER_SHARE) * depth.max())
+    return np.asarray(depth > (1.0 - INNER_FRACTION) * depth.max())
 
 
 def _angles_deg(

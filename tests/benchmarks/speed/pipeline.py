@@ -58,7 +58,7 @@ STAGES = {
         "slope_draws.slope_draws",
     ),
     "sigma of slopes": ("height_error.slope_sigma",),
-    "extrapolation": ("extrapolation.extrapolated", "extrapolation.strange_blocks"),
+    "extrapolation": ("extrapolation.extrapolated", "extrapolation.out_of_domain_blocks"),
     "results on disk": ("result_writer.write_result",),
 }
 """Stages by the functions that do them, with their modules.

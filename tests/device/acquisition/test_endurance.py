@@ -22,7 +22,7 @@ from hal.errors import HalError
 from hal.interfaces import LiftOff
 from hal.simulator.bench import SimulatedScene
 
-FAULT_SHARE = 0.05
+FAULT_FRACTION = 0.05
 
 
 def open_files() -> int:
@@ -90,7 +90,9 @@ def press_for_a_while(emulated: EmulatedBoard, store: BundleStore, presses: int)
     with emulated.hardware as hardware:
         scanner = Scanner(hardware, store)
         for _ in range(presses):
-            must_fail, mend = break_something(emulated, dice) if dice.random() < FAULT_SHARE else (False, lambda: None)
+            must_fail, mend = (
+                break_something(emulated, dice) if dice.random() < FAULT_FRACTION else (False, lambda: None)
+            )
             hardware.operator.ask(LiftOff())
             assert hardware.button.wait_for_push(10.0) is not None
             try:

@@ -13,7 +13,7 @@ from device.acquisition.capture import capture
 from device.acquisition.scanner import Scanner
 from device.cli.guide import NOT_COVERED
 from device.cli.main import main
-from device.guidance.cover_task import CoverTask, Stand
+from device.guidance.cover_task import CoverTask, InstrumentPose
 from device.imaging.flat_field import bin_bayer
 from device.quick_look.solver import quick_look
 from device.store.store import BundleStore
@@ -56,7 +56,7 @@ def test_an_area_is_covered_on_the_twin(calibrated_root: Path, tmp_path: Path, s
             at = at + np.array(task.way) + random.normal(0.0, 0.3, 2)
             task.add(touched((float(at[0]), float(at[1]))))
             stand = task.stand
-            assert isinstance(stand, Stand)
+            assert isinstance(stand, InstrumentPose)
             assert (stand.right_mm, stand.down_mm) == pytest.approx(tuple(at - start), abs=0.5)
             assert stand.overlap > 0.25
         assert task.share > 0.97

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from device.guidance.cover_task import Covering, Stand
+from device.guidance.cover_task import Covering, InstrumentPose
 from device.guidance.placement import Unplaced
 from tests.device.guidance.hand_presses import Relief
 
@@ -64,5 +64,5 @@ def test_an_area_within_the_field_is_covered_by_the_first_press() -> None:
 
 
 def test_the_way_is_in_the_directions_of_the_live_view() -> None:
-    right, down = Stand(1.0, 2.0, 90.0, 1.0).way_to((4.0, 2.0))
+    right, down = InstrumentPose(1.0, 2.0, 90.0, 1.0).way_to((4.0, 2.0))
     assert (right, down) == pytest.approx((0.0, -3.0))

@@ -16,7 +16,7 @@ from batch_results import Said, contents, plain
 from mortal_work import DieOnce, Environment, Squares
 
 from host_sync.batch.cluster import Unfinished, _Job, _unfit, computing_versions, connected, outcomes_on_cluster
-from host_sync.batch.library_batch import ScanWork, one_by_one, reconstruct_on_cluster
+from host_sync.batch.library_batch import ReconstructionOptions, one_by_one, reconstruct_on_cluster
 from host_sync.batch.worker_pool import ONE_THREAD
 from host_sync.cli.main import main
 from host_sync.errors import ClusterError
@@ -94,7 +94,7 @@ def test_a_cluster_gives_the_bits_of_one_process_though_a_worker_is_killed_in_mi
         shutil.copytree(library.root, copy.root)
     expected = list(one_by_one(alone.scans().bundles, LibraryReconstructor(alone)))
     scans = shared.scans().bundles
-    work = ScanWork(shared.root, report_progress=DieOnce(tmp_path / "died", "results"))
+    work = ReconstructionOptions(shared.root, report_progress=DieOnce(tmp_path / "died", "results"))
     found = list(reconstruct_on_cluster(scans, work, LibraryReconstructor(shared), client))
     assert (tmp_path / "died").exists()
     assert Counter(one.scan for one in found) == Counter(scan.scan_id for scan in scans)

@@ -16,7 +16,7 @@ from mortal_work import DieOnce
 
 from device.bundles.scan import ScanBundle
 from device.errors import OutputError
-from host_sync.batch.library_batch import ScanOutcome, ScanWork, one_by_one, reconstruct_scans
+from host_sync.batch.library_batch import ReconstructionOptions, ScanOutcome, one_by_one, reconstruct_scans
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.inputs import CalibrationCache
 from host_sync.calibration_file.kept_calibration import KeptCalibration
@@ -56,7 +56,9 @@ def test_two_processes_give_the_bits_of_one_though_one_is_killed_in_mid_scan(
 
     job = LibraryReconstructor(batch, calibrator=Calibrator(calibration_cache, obtained=obtained))
     marker = tmp_path / "died"
-    found = list(reconstruct_scans(scans, ScanWork(batch.root, report_progress=DieOnce(marker, at)), job, 2))
+    found = list(
+        reconstruct_scans(scans, ReconstructionOptions(batch.root, report_progress=DieOnce(marker, at)), job, 2)
+    )
     assert marker.exists()
     assert Counter(one.scan for one in found) == Counter(scan.scan_id for scan in scans)
     assert plain(found, batch) == plain(alone[1], alone[0])
@@ -82,7 +84,7 @@ def test_a_scan_without_its_calibration_is_named_and_the_rest_is_done(library: L
     batch = copied(library, tmp_path / "batch")
     shutil.rmtree(batch.root / "calibrations")
     scans = batch.scans().bundles
-    outcomes = list(reconstruct_scans(scans, ScanWork(batch.root), LibraryReconstructor(batch), 2))
+    outcomes = list(reconstruct_scans(scans, ReconstructionOptions(batch.root), LibraryReconstructor(batch), 2))
     assert [one.scan for one in outcomes] == [scan.scan_id for scan in scans]
     assert all("pull it from the device" in (one.reason or "") for one in outcomes)
 
@@ -114,13 +116,13 @@ class Unwritable:
 
 
 def test_a_full_temporary_folder_is_said_of_every_scan(library: Library, tmp_path: Path) -> None:
-    scans, work = library.scans().bundles, ScanWork(library.root)
+    scans, work = library.scans().bundles, ReconstructionOptions(library.root)
     job = cast("LibraryReconstructor", Unwritable())
     found = list(reconstruct_scans(scans, work, job, 2))
     assert [one.scan for one in found] == [scan.scan_id for scan in scans]
     assert all("No space left" in (one.reason or "") for one in found)
 
-    found = list(reconstruct_scans(scans, ScanWork(tmp_path / "absent"), job, 2))
+    found = list(reconstruct_scans(scans, ReconstructionOptions(tmp_path / "absent"), job, 2))
     assert [one.scan for one in found] == [scan.scan_id for scan in scans]
     assert all("no temporary folder" in (one.reason or "") for one in found)
 

@@ -13,7 +13,7 @@ import pytest
 from device.acquisition.capture import CaptureSettings, capture
 from device.balls.detector import BallSearch, find_balls
 from device.balls.sphere import gather_samples
-from device.calibration.fit import CORE_SHARE
+from device.calibration.fit import CORE_FRACTION
 from device.errors import CalibrationError, CalibrationMismatch, FrameError
 from device.imaging.flat_field import (
     SATURATED,
@@ -197,7 +197,7 @@ def test_contacts_that_reach_beyond_the_ball_are_cut_to_their_core(usual: Simula
     (spread,) = [check for check in calibration.assessment.checks if "radii from shading" in check.name]
     assert spread.passed
     used = [press.balls[0].contact_radius_px for press in calibration.presses]
-    assert used == pytest.approx([CORE_SHARE * ball.contact_radius_px for ball in given])
+    assert used == pytest.approx([CORE_FRACTION * ball.contact_radius_px for ball in given])
     assert whole.core_deg is not None
     assert calibration.held_out_deg["direct"] < whole.core_deg
     samples = gather_samples([(press.intensity, press.balls) for press in (locate(one, flat_field) for one in wide)])

@@ -10,7 +10,7 @@ import numpy as np
 from device.balls.sphere import Ball
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from host_sync.calibration.slope_models import FREE_RADII, MIN_PRESSES, free_skin_slopes, with_free_skin
+from host_sync.calibration.slope_models import FREE_RADII, MIN_PRESSES, correct_flat_bias, free_skin_slopes
 
 SHAPE = (180, 240)
 NODES = (6, 8)
@@ -68,9 +68,9 @@ def test_too_few_presses_show_nothing() -> None:
 
 def test_a_map_takes_it_off_beside_what_pixel_noise_adds() -> None:
     own = np.full((*NODES, 2), 0.25, np.float32)
-    taken = with_free_skin(cast(InverseMap, RedAndGreen(noise_bias=own)), presses()).noise_bias
+    taken = correct_flat_bias(cast(InverseMap, RedAndGreen(noise_bias=own)), presses()).noise_bias
     assert taken is not None
     np.testing.assert_allclose(taken - own, free_skin_slopes(MAP, presses(), NODES), atol=1e-7)
-    alone = with_free_skin(MAP, presses()).noise_bias
+    alone = correct_flat_bias(MAP, presses()).noise_bias
     assert alone is not None
     assert alone.shape == (19, 25, 2)

@@ -6,7 +6,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap, rest_nodes
-from device.inverse_map.noise_bias import less_noise
+from device.inverse_map.noise_bias import correct_noise_bias
 from device.inverse_map.regressor import FeatureRegressor, FeatureScaler
 from device.inverse_map.training_domain import TrainingDomain
 from host_sync.gradients.inverse_map_kernel import cell_slopes
@@ -33,7 +33,7 @@ def untouched(seed: int) -> NormalizedImage:
 
 def test_untouched_skin_reads_flat_by_pixel_and_by_cell() -> None:
     """Noisy pixels look less like untouched skin than their means do: more must be taken off them."""
-    noisy = less_noise(misreading(), [untouched(seed) for seed in range(3)])
+    noisy = correct_noise_bias(misreading(), [untouched(seed) for seed in range(3)])
     assert noisy.rest_bump is not None
     assert np.median(noisy.rest_bump[..., 0]) > 1.1 * np.median(rest_nodes(replace(noisy, rest_bump=None))[..., 0])
     scan = untouched(9)

@@ -7,7 +7,7 @@ from device.balls.sphere import Ball, gather_samples, sphere_slopes
 from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from host_sync.gradients.confidence import extrapolated, strange_blocks
+from host_sync.gradients.confidence import extrapolated, out_of_domain_blocks
 
 SHAPE = (240, 320)
 STEEPEST = 0.5
@@ -63,7 +63,7 @@ def test_colours_of_no_ball_are_marked_though_they_read_flat(taught: InverseMap)
     image.values[40:120, 40:120] = (0.3, 0.3, 0.3)
     found = extrapolated(image, taught, flat, flat)
     assert found[50:110, 50:110].all()
-    np.testing.assert_array_equal(extrapolated(image, taught, flat, flat, strange_blocks(image, taught)), found)
+    np.testing.assert_array_equal(extrapolated(image, taught, flat, flat, out_of_domain_blocks(image, taught)), found)
     assert not found[140:, 140:].any()
 
 

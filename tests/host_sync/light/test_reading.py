@@ -213,9 +213,9 @@ def test_slopes_are_as_uncertain_as_models_of_fewer_balls_differ() -> None:
 
     def sigma(*folds: object) -> np.ndarray:
         light = replace(LIGHT, folds=folds)
-        unsure = correct_slopes(field(p, q), image, light, PRIOR_SIGMA, BALLS).unsure
-        assert unsure is not None
-        by_p, by_q = unsure()
+        slope_deviations = correct_slopes(field(p, q), image, light, PRIOR_SIGMA, BALLS).slope_deviations
+        assert slope_deviations is not None
+        by_p, by_q = slope_deviations()
         return np.sqrt((by_p**2 + by_q**2).sum(axis=0))
 
     flank = np.hypot(p, q)[::2, ::2] > 0.25
@@ -244,8 +244,8 @@ def test_an_object_under_the_whole_field_has_no_skin_at_rest_and_keeps_its_heigh
     assert not found.has_rest
     wrong, left = (float((integrate(one, 1.0)[0].z_um - z).std()) for one in (before, after))
     assert left < 0.3 * wrong
-    assert found.unsure is not None
-    assert (np.abs(found.unsure()[0]).max(axis=0) > 0.0).mean() > 0.95
+    assert found.slope_deviations is not None
+    assert (np.abs(found.slope_deviations()[0]).max(axis=0) > 0.0).mean() > 0.95
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.01])

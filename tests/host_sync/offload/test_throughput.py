@@ -23,7 +23,7 @@ from host_sync.offload.sftp import SftpSource
 FILES = 12
 FILE_BYTES = 24 << 20
 MAX_RSS_KB = 150_000
-MIN_SHARE = 0.8
+MIN_FRACTION = 0.8
 TURNS = 5
 
 PULL_AND_SAY_RSS = """
@@ -92,5 +92,5 @@ def test_pulling_keeps_up_with_openssh_in_bounded_memory(
             f"pulled {' '.join(f'{share:.2f}' for share in pulled)}\n"
         )
     assert peak_rss_kb <= MAX_RSS_KB
-    assert max(streamed) >= MIN_SHARE
-    assert max(pulled) >= MIN_SHARE
+    assert max(streamed) >= MIN_FRACTION
+    assert max(pulled) >= MIN_FRACTION

@@ -95,7 +95,7 @@ def test_the_light_model_corrects_both_kinds_of_detail_alike(ring_calibration: C
 
 @pytest.mark.parametrize(
     ("module", "name"),
-    [(reading_uncertainty, "height_draws"), (slope_reading, "check_frame"), (slope_reading, "strange_blocks")],
+    [(reading_uncertainty, "height_draws"), (slope_reading, "check_frame"), (slope_reading, "out_of_domain_blocks")],
 )
 def test_the_second_thread_does_what_needs_no_heights(
     ring_calibration: Calibration,

@@ -9,7 +9,7 @@ import pytest
 from device.balls.sphere import Ball, BallSamples
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from host_sync.uncertainty.elevation import NEAREST_SHARE, ElevationCorrection, elevation_correction
+from host_sync.uncertainty.elevation import NEAREST_FRACTION, ElevationCorrection, elevation_correction
 
 SHAPE = (240, 320)
 RADIUS_PX, CONTACT_PX = 60.0, 30.0
@@ -93,7 +93,7 @@ def test_another_size_of_the_same_field_says_the_same() -> None:
 def test_lights_are_never_taken_to_stand_among_the_balls() -> None:
     ball = Ball(150.0, 110.0, CONTACT_PX, RADIUS_PX)
     low = elevation_correction([(image_of(), [ball])], samples(50.0), map_that_reads(ball))
-    assert low.nearness_per_px == pytest.approx(NEAREST_SHARE / low.apex_px)
+    assert low.nearness_per_px == pytest.approx(NEAREST_FRACTION / low.apex_px)
 
 
 def test_presses_whose_balls_were_all_rejected_are_passed_over() -> None:
