@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from device.balls.sphere import Ball, BallSamples
 from device.surface import Float64Array, MaskArray
@@ -197,17 +198,15 @@ class Bundle:
             change, below = (part[..., number] @ model.strengths.T for part in (by_coat, coat_below))
             yield (change - terms.ratio * below) / terms.at_rest
 
-    def _shift_columns(self, numbers: Numbers, terms: _Terms) -> Iterator[Float64Array]:
-        """Yield derivatives of the intensity (N, C) by the shifts of centres."""
+    def _by_shift(self, numbers: Numbers, terms: _Terms) -> Float64Array:
+        """Return derivatives of the intensity by the shift of each sample's own ball: shape (N, C, 2)."""
         shifted = []
         for axis in (0, 1):
             shift = numbers.shift.copy()
             shift[:, axis] += CENTRE_STEP_PX
             there = self.terms(replace(numbers, shift=shift), keep=False)
             shifted.append((there.shown - terms.shown) / CENTRE_STEP_PX)
-        for ball in range(len(self.balls)):
-            for axis in (0, 1):
-                yield shifted[axis] * (self.ball == ball)[:, None]
+        return np.stack(shifted, axis=-1)
 
     def _prior(self, numbers: Numbers) -> tuple[Float64Array, Float64Array]:
         """Return the expected values of all numbers, and weights of their differences from them."""
@@ -264,11 +263,12 @@ class Bundle:
         """Return matrix and right side of the normal equations of the free numbers, and the Jacobian."""
         terms = self.terms(numbers)
         error = terms.shown - self.intensity
-        columns = list(self._source_columns(numbers, terms)) if self.stage == "sources" else []
-        columns += self._shift_columns(numbers, terms)
-        features = terms.lit.features[:, :0] if self.stage == "sources" else terms.lit.features
+        shared, features = np.zeros((*error.shape, 0)), terms.lit.features
+        if self.stage == "sources":
+            shared, features = np.stack(list(self._source_columns(numbers, terms)), axis=-1), features[:, :0]
         weight = 1.0 / (self.sigma**2 + np.square(error / OUTLYING))
-        jacobian = _Jacobian(np.stack(columns, axis=-1), features, error, weight)
+        by_shift = self._by_shift(numbers, terms)
+        jacobian = _Jacobian(shared, by_shift, self.ball, len(self.balls), features, error, weight)
         system, gradient = jacobian.normal_equations(slice(None))
         expected, prior = (part[self._free(numbers)] for part in self._prior(numbers))
         system[np.diag_indices_from(system)] += prior
@@ -353,26 +353,44 @@ class _Jacobian:
     """Derivatives of the intensity of samples (N,) in channels (C,), and its weighted errors.
 
     shared : by numbers that all channels share, or of one channel, shape (N, C, K)
+    by_shift : by the shift of each sample's ball, shape (N, C, 2); other balls' shifts change nothing
+    ball, balls : number of each sample's ball, shape (N,), and number of all balls
     features : by the residual's coefficients of any channel, shape (N, F)
     error, weight : of the predicted intensity, shape (N, C)
     """
 
     shared: Float64Array
+    by_shift: Float64Array
+    ball: NDArray[np.intp]
+    balls: int
     features: Float64Array
     error: Float64Array
     weight: Float64Array
 
     def normal_equations(self, rows: MaskArray | slice) -> tuple[Float64Array, Float64Array]:
-        """Return the system and the gradient of some rows."""
-        count, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
-        system = np.zeros((count + channels * own, count + channels * own))
+        """Return the system and the gradient of some rows: shared numbers, shifts, coefficients of each channel."""
+        from scipy.sparse import csr_array  # here, because reading a calibration fits nothing
+
+        first, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
+        shifts = first + np.arange(2 * self.balls)
+        system = np.zeros((first + len(shifts) + channels * own,) * 2)
         gradient = np.zeros(len(system))
+        ball, features = self.ball[rows], self.features[rows]
+        columns = (2 * ball[:, None] + np.arange(2)).ravel()
         for channel in range(channels):
-            where = np.append(np.arange(count), count + channel * own + np.arange(own))
+            dense = np.append(np.arange(first), first + len(shifts) + channel * own + np.arange(own))
             root = np.sqrt(self.weight[rows, channel])
-            jacobian = root[:, None] * np.concatenate([self.shared[rows, channel], self.features[rows]], axis=1)
-            system[np.ix_(where, where)] += jacobian.T @ jacobian
-            gradient[where] += jacobian.T @ (root * self.error[rows, channel])
+            error = root * self.error[rows, channel]
+            jacobian = root[:, None] * np.concatenate([self.shared[rows, channel], features], axis=1)
+            entries = (root[:, None] * self.by_shift[rows, channel]).ravel()
+            of_balls = csr_array((entries, columns, 2 * np.arange(len(ball) + 1)), (len(ball), len(shifts))).T
+            system[np.ix_(dense, dense)] += jacobian.T @ jacobian
+            crossed = of_balls @ jacobian
+            system[np.ix_(shifts, dense)] += crossed
+            system[np.ix_(dense, shifts)] += crossed.T
+            system[np.ix_(shifts, shifts)] += (of_balls @ of_balls.T).toarray()
+            gradient[dense] += jacobian.T @ error
+            gradient[shifts] += of_balls @ error
         return system, gradient
 
 

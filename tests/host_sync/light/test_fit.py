@@ -13,7 +13,7 @@ from near_lamps import SHAPE, NearLamps, balls, press_px
 
 from device.balls.sphere import Ball, gather_samples, pixels_inside, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
-from host_sync.light.bundle import Bundle
+from host_sync.light.bundle import Bundle, _Jacobian
 from host_sync.light.fit import FittedLight, fit_light
 from host_sync.light.model import LightModel
 
@@ -139,6 +139,23 @@ def test_a_fit_for_frames_of_another_size_describes_the_same_light() -> None:
         np.testing.assert_allclose(own.intensity(slope, at, dark), other.intensity(slope, of_half, dark), rtol=1e-9)
 
 
+def test_normal_equations_are_those_of_the_whole_jacobian() -> None:
+    rng = np.random.default_rng(3)
+    count, channels, balls, own = 60, 3, 4, 5
+    ball = np.sort(rng.integers(balls, size=count))
+    shared, by_shift = rng.normal(size=(count, channels, 6)), rng.normal(size=(count, channels, 2))
+    features, error = rng.normal(size=(count, own)), rng.normal(size=(count, channels))
+    weight, rows = rng.uniform(0.5, 2.0, (count, channels)), ball % 2 == 1
+    system, gradient = _Jacobian(shared, by_shift, ball, balls, features, error, weight).normal_equations(rows)
+    of_balls = (ball[:, None, None, None] == np.arange(balls)[:, None]) * by_shift[:, :, None]
+    of_channels = np.eye(channels)[None, :, :, None] * features[:, None, None]
+    parts = (shared, of_balls.reshape(count, channels, -1), of_channels.reshape(count, channels, -1))
+    whole = np.concatenate(parts, axis=-1)[rows].reshape(-1, 6 + 2 * balls + channels * own)
+    weighted = whole.T * weight[rows].ravel()
+    np.testing.assert_allclose(system, weighted @ whole, atol=1e-12)
+    np.testing.assert_allclose(gradient, weighted @ error[rows].ravel(), atol=1e-12)
+
+
 def test_derivatives_are_those_of_the_errors() -> None:
     images = [rendered(ball, apex, seed) for seed, (ball, apex) in enumerate(TRUE)]
     samples = gather_samples((image, [ball]) for image, ball in zip(images, MOVED, strict=True))
@@ -148,9 +165,11 @@ def test_derivatives_are_those_of_the_errors() -> None:
     _, _, found = bundle._system(numbers)
     values = numbers.packed()
     # Sources and coat come first, then the centres.
-    for number in range(found.shared.shape[-1]):
+    of_centres = (found.ball[:, None, None] == np.arange(found.balls))[..., None] * found.by_shift[:, :, None]
+    derivatives = np.concatenate([found.shared, of_centres.reshape(*found.error.shape, -1)], axis=-1)
+    for number in range(derivatives.shape[-1]):
         step = np.zeros_like(values)
         step[number] = 1e-4 * max(1.0, abs(values[number]))
         ahead, behind = (bundle.errors(numbers.unpacked(values + sign * step)) for sign in (1.0, -1.0))
         wanted = (ahead - behind) / (2.0 * step[number])
-        assert np.linalg.norm(found.shared[..., number] - wanted) < 0.05 * np.linalg.norm(wanted) + 1e-6, number
+        assert np.linalg.norm(derivatives[..., number] - wanted) < 0.05 * np.linalg.norm(wanted) + 1e-6, number
