@@ -32,17 +32,30 @@ MAX_STRAY: Final = 0.05
 """Largest change of a light, relative, and largest light of the surroundings, fraction of full scale, that slopes are
 corrected for."""
 
+LARGEST_GAIN: Final = 4.0
+"""Change of a light, in standard deviations of those among the calibration's presses, that slopes are corrected for
+where it is more than `MAX_CHANGE`: automatic white balance changes a channel by half."""
 
-def is_light(light: FrameLight) -> bool:
+
+def largest_change(gain_sigma: float) -> float:
+    """Return the largest relative change of a light that slopes are corrected for.
+
+    gain_sigma : relative standard deviation of the gains of the calibration's own presses
+    """
+    return max(MAX_CHANGE, LARGEST_GAIN * gain_sigma)
+
+
+def is_light(light: FrameLight, gain_sigma: float) -> bool:
     """Return whether the gains and offsets of a frame may be those of its lights."""
-    return light.change <= MAX_CHANGE and light.stray <= MAX_STRAY
+    return light.change <= largest_change(gain_sigma) and light.stray <= MAX_STRAY
 
 
-def check_light(light: FrameLight) -> tuple[FrameCheck, ...]:
+def check_light(light: FrameLight, gain_sigma: float) -> tuple[FrameCheck, ...]:
     """Return the checks of the light of a frame whose untouched skin shows it."""
     found = []
+    most = largest_change(gain_sigma)
     for name, value, limit, unit, what in (
-        ("light drift", light.change, MAX_CHANGE, "relative", "its lights differ from the calibration's by"),
+        ("light drift", light.change, most, "relative", "its lights differ from the calibration's by"),
         ("stray light", light.stray, MAX_STRAY, "of full scale", "light of the surroundings is, of full scale,"),
     ):
         refused = value > limit

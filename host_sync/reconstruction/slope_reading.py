@@ -261,7 +261,7 @@ def _read_channels(
     raw, shrinkage = intensity, calibration.shrinkage
     rest = None if calibration.skin_at_rest is None else calibration.skin_at_rest.evidence(raw)
     if rest is not None and rest.has_rest:
-        checks = (*checks, *check_light(rest.light))
+        checks = (*checks, *check_light(rest.light, rest.gain_sigma))
         take_out_light(rest.light, raw.values, calibration.flat_field)
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)

@@ -193,7 +193,7 @@ class FrameSolver:
         evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
         if evidence is None or not evidence.has_rest:
             return FrameLight.unchanged()
-        raise_on_warnings(refusals(check_light(evidence.light)), frame.name, force=self.force)
+        raise_on_warnings(refusals(check_light(evidence.light, evidence.gain_sigma)), frame.name, force=self.force)
         return evidence.light
 
     def solve(
