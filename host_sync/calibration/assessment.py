@@ -137,7 +137,7 @@ def light_notes(lights: Sequence[FrameLight]) -> tuple[str, ...]:
     if (change := max(light.change for light in lights)) > NOTED_CHANGE:
         notes.append(
             f"lights differed by up to {change:.1%} between the presses and the reference, which was removed: let them "
-            "warm up before you calibrate"
+            "warm up, and fix exposure and white balance, before you calibrate"
         )
     if (stray := max(light.stray for light in lights)) > NOTED_STRAY:
         notes.append(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from near_lamps import RADIUS_PX, SHAPE, balls, press_px
 
+from device.errors import CalibrationMismatch
 from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
@@ -25,9 +26,18 @@ PRESSES = (1.0 + 0.015 * np.random.default_rng(4).standard_normal((len(balls()),
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
+    return calibrated(PRESSES)
+
+
+BALANCES = np.exp(0.1 * np.random.default_rng(7).standard_normal((len(balls()), 3))).astype(np.float32)
+"""The same of a camera that balances white by itself."""
+
+
+def calibrated(brightness: np.ndarray) -> Calibration:
+    """Return the calibration of presses whose lamps have this brightness."""
     presses = [
         PressFrame(f"press-{number:02d}", under(factors, lit_by_ring(press_px(*ball), 3, number)), RADIUS_PX)
-        for number, (ball, factors) in enumerate(zip(balls(), PRESSES, strict=True))
+        for number, (ball, factors) in enumerate(zip(balls(), brightness, strict=True))
     ]
     return calibrate(presses, lit_by_ring(np.zeros(SHAPE), 3, 99), 20.0)
 
@@ -66,3 +76,14 @@ def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> No
     )
     assert stated is not None
     assert float(stated[1]) == pytest.approx(100.0 * largest, abs=0.2)
+
+
+@pytest.mark.slow
+def test_white_balance_is_taken_out_where_presses_show_it(calibration: Calibration) -> None:
+    balance, unsteady = np.array([1.1, 0.95, 1.3], np.float32), calibrated(BALANCES)
+    steady_um = scan(calibration, np.ones(3)).height.z_um
+    balanced = scan(unsteady, balance)
+    assert drift_checks(balanced) == [pytest.approx(0.3, abs=0.01)]
+    with pytest.raises(CalibrationMismatch, match=r"its lights differ from the calibration's by 30% \(at most 15%\)"):
+        scan(calibration, balance)
+    assert np.abs(balanced.height.z_um - steady_um).mean() < 0.05 * steady_um.max()
