@@ -20,7 +20,7 @@ from device.imaging.frame_light import Levels
 from device.quality.verdict import Evidence
 from device.quick_look.check_measure import BallBias, BallReading, CheckNotMeasured, measure_standard, read_ball
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
-from device.store.checks import CORRECTED_FRACTION, CheckMeasure
+from device.store.checks import MAX_CORRECTED_ERROR, CheckMeasure
 from hal.frame import RawFrame
 
 MAX_PRESSES: Final = 4
@@ -91,7 +91,7 @@ def measure_check(
     if evidence.lacks_contact:
         raise CheckNotMeasured(f"{NOT_SEEN}: press {standard.name} into the gel")
     bias = calibration_ball_bias(calibration, model) if standard.kind == "ball" else None
-    own_share = CORRECTED_FRACTION if bias else None
+    own_share = MAX_CORRECTED_ERROR if bias else None
     try:
         measured = CheckMeasure(measure_standard(standard, look, bias), own_share=own_share)
     except CheckNotMeasured as error:

@@ -54,7 +54,7 @@ MAX_SHIFT: Final = 0.7
 """A centre this many radii from where the ramps are is another thing's centre."""
 
 INVALID_WEIGHT: Final = 0.3
-"""Weight of an invalid pixel beside a valid one: where one channel clips, the others still show it."""
+"""Weight of an invalid pixel beside a valid one: where one channel clips, the others still show the slope."""
 
 SEEN_FRACTION: Final = 0.7
 """A ring counts when this share of it is inside the frame."""

@@ -33,7 +33,7 @@ CLEAR_DISAGREEMENT: Final = 0.12
 """Less than `flat_field.MAX_DISAGREEMENT` is two sets of lights too where every frame has another that is twice as
 near."""
 
-PITCH_GROSS_FRACTION: Final = 0.05
+MAX_PITCH_ERROR: Final = 0.05
 """A stated pixel pitch that a ball grid contradicts by more is refused; less is reported, the measured one used."""
 
 PITCH_COVERAGE: Final = 2.0

@@ -77,7 +77,7 @@ ROOT_FORM: Final = RegressorForm(5, 2, 10.0)
 
 ANCHORS: Final = 4000
 ANCHOR_SLOPE: Final = 0.1
-ANCHOR_FRACTION: Final = 100.0
+ANCHOR_WEIGHT: Final = 100.0
 """Gentle slopes up to the second, as many as the first, weigh so many times as much as all samples in a curve that is
 anchored: near lights show them exactly, while a polynomial that rounds the corner where a light sets flattens them."""
 
@@ -197,7 +197,7 @@ def fit_regressor(
         return ProductFeatures(variables, where, *degrees, form.waves, form.term_scale(), rest, kept)
 
     near = isinstance(reading, NearLightModel)
-    anchor, share = None, ANCHOR_FRACTION * len(place) / ANCHORS
+    anchor, share = None, ANCHOR_WEIGHT * len(place) / ANCHORS
     if flat and form.anchored and near:
         gentle = features(*_gentle_slopes_as_seen())
         known, moment = gentle.normal_equations(np.arange(ANCHORS), np.ones(ANCHORS), np.zeros((ANCHORS, 2)))
@@ -210,12 +210,12 @@ def fit_regressor(
         read = 0.5 * (above + below)
         anchor = share * read.T @ read, share * read.T @ stereographic_from_slope(*slope.T)
     prior = _matt_prior(colours, form) if near else None
-    training, *others = (features(_seen(intensity, place, reading), place) for intensity in _with_less_noise(samples))
+    training, *others = (features(_seen(intensity, place, reading), place) for intensity in _noise_levels(samples))
     ridge = GroupedRidgeCV(training, samples.ball, prior, anchor, *others)
     return RegressorFit(colours, form, reading, penalty, ridge, flat, skin)
 
 
-def _with_less_noise(samples: BallSamples) -> list[Float32Array]:
+def _noise_levels(samples: BallSamples) -> list[Float32Array]:
     """Return intensities (N, 3) with no noise, all of it, and what a surface keeps; one without `quiet`."""
     if samples.quiet is None:
         return [samples.intensity]

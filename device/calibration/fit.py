@@ -38,7 +38,7 @@ LONE_BALL_PENALTY: Final = 1e-3
 DISTRUST_POWER: Final = 20.0
 """Power of its held-out error with which a curve loses weight: an error larger by 10 % leaves a seventh."""
 
-MIN_FRACTION: Final = 0.07
+MIN_CURVE_WEIGHT: Final = 0.07
 """A curve beside the first with less weight is left out: it would cost as much as one that helps."""
 
 MAX_WEIGHT: Final = 1e6
@@ -323,7 +323,9 @@ def _shared(own: RegressorFit, others: Sequence[RegressorFit]) -> Learners:
     """
     weights = [min((own.error_as_seen / other.error_as_seen) ** DISTRUST_POWER, MAX_WEIGHT) for other in others]
     total = 1.0 + sum(weights)
-    kept = [(learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_FRACTION * total]
+    kept = [
+        (learner, weight) for learner, weight in zip(others, weights, strict=True) if weight > MIN_CURVE_WEIGHT * total
+    ]
     total = 1.0 + sum(weight for _, weight in kept)
     return [(own, 1.0 / total), *((learner, weight / total) for learner, weight in kept)]
 

@@ -133,7 +133,7 @@ class ScanQueue:
         self._labels = labels
         self._deleted = deleted
         self._spot = spot
-        self._works: deque[QueuedPress] = deque()
+        self._queued: deque[QueuedPress] = deque()
         self._held: CapturedPress | None = None
         self._button = ButtonWatch(hardware)
         self._busy_until_ns = 0
@@ -211,8 +211,8 @@ class ScanQueue:
                 self._states.update(replaces=None)
         else:
             annotations = self._labels.take()
-        self._works.append(QueuedPress(press, annotations, until_ns, assessing))
-        self._states.update(processing=len(self._works))
+        self._queued.append(QueuedPress(press, annotations, until_ns, assessing))
+        self._states.update(processing=len(self._queued))
 
     def collect(self, *, waits: bool = True) -> list[ScanOutcome]:
         """Report the scans that were finished since the last call, and return them.
@@ -220,18 +220,18 @@ class ScanQueue:
         waits : whether presses may go on waiting for untouched skin
         """
         finished = []
-        for pending in tuple(self._works):
+        for pending in tuple(self._queued):
             try:
                 outcome = self._advance(pending, waits)
             except DeviceError as error:
-                self._works.remove(pending)
-                self._states.update(processing=len(self._works), sentence=str(error))
+                self._queued.remove(pending)
+                self._states.update(processing=len(self._queued), sentence=str(error))
                 self._give_back(pending)
                 self._states.publish(Failed(str(error)))
                 show(self._hardware, "refused: full" if isinstance(error, StoreError) else "refused: hardware")
                 continue
             if outcome:
-                self._works.remove(pending)
+                self._queued.remove(pending)
                 self._finish(*outcome)
                 if pending.press.replaces:
                     self._replace(pending.press.replaces, outcome[0])
@@ -240,14 +240,14 @@ class ScanQueue:
 
     def answer_check(self, *, is_standard: bool) -> None:
         """Go on with the check that was asked about: failed if it is the standard, otherwise to be pressed again."""
-        pending = next((one for one in self._works if one.is_asked), None)
+        pending = next((one for one in self._queued if one.is_asked), None)
         if pending is None:
             return
         pending.is_asked, pending.is_certain = False, True
         if is_standard or pending.press.standard is None:
             return
-        self._works.remove(pending)
-        self._states.update(processing=len(self._works))
+        self._queued.remove(pending)
+        self._states.update(processing=len(self._queued))
         self._give_back(pending)
         self._states.publish(Info(f"Press {pending.press.standard.name}, then push."))
 
@@ -279,9 +279,9 @@ class ScanQueue:
 
     def finish(self) -> None:
         """Store every press in memory, without waiting for untouched skin any more."""
-        while self._works:
+        while self._queued:
             self.collect(waits=False)
-            for pending in self._works:
+            for pending in self._queued:
                 (pending.publishing or pending.assessing).exception()
 
     def _advance(self, pending: QueuedPress, waits: bool) -> tuple[ScanOutcome, float] | None:
@@ -353,10 +353,10 @@ class ScanQueue:
 
     def _admitted(self, *, stores: bool) -> Scanner | None:
         """Return the scanner if a press can be taken now, with room where it `stores` one; else report the refusal."""
-        if len(self._works) >= MAX_IN_WORK:
+        if len(self._queued) >= MAX_IN_WORK:
             self._stop_waiting()
-        if len(self._works) >= MAX_IN_WORK:
-            self.refuse("busy", f"{len(self._works)} scans are still being stored: push again in a moment")
+        if len(self._queued) >= MAX_IN_WORK:
+            self.refuse("busy", f"{len(self._queued)} scans are still being stored: push again in a moment")
             return None
         try:
             scanner = self._scanner()
@@ -374,7 +374,7 @@ class ScanQueue:
 
     def _stop_waiting(self) -> None:
         """Publish the oldest press that waits for untouched skin, since the operator presses again without lifting."""
-        waiting = next((pending for pending in self._works if pending.is_announced), None)
+        waiting = next((pending for pending in self._queued if pending.is_announced), None)
         if waiting:
             waiting.until_ns = 0
             self.collect()
@@ -387,7 +387,7 @@ class ScanQueue:
         last = LastScan(record.scan_id, number, record.verdict, height, fault, record.annotations)
         self._states.count_stored(1)
         self._states.update(
-            processing=len(self._works),
+            processing=len(self._queued),
             last=last,
             sentence=f"{record.verdict.level}: {record.verdict.reason}",
         )

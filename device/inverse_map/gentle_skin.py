@@ -34,7 +34,7 @@ BEND_DEGREE: Final = 1
 """Degree in position of what squares and cubes of slopes do.
 
 Where that is held alike all over the field, directions of rendered sensors are 1.5 to 6 % off; with this 0.7 to 5 %. Of
-degree 2 a dozen balls show no more.
+degree 2 a dozen balls determine no more.
 """
 
 MIN_LIGHT: Final = 0.01

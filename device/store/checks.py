@@ -15,15 +15,15 @@ _REMEDY: Final = "remove it, and enter the check standard again"
 STANDARD: Final = RecordFile(CheckStandard, "checks/standard.json", _REMEDY)
 CHECKS: Final = RecordFile(CheckRecord, "checks/{}.json", _REMEDY)
 
-OWN_FRACTION: Final[dict[StandardKind, float]] = {"ball": 0.12, "step": 0.15, "roughness": 0.4}
+MAX_OWN_ERROR: Final[dict[StandardKind, float]] = {"ball": 0.12, "step": 0.15, "roughness": 0.4}
 """Relative error of the quick look itself, allowed beyond the standard's ±: it reads balls that are pressed gently up
 to 10 % large, steps up to 10 % low where the skin bridges them, and fine roughness low."""
 
-CORRECTED_FRACTION: Final = 0.07
+MAX_CORRECTED_ERROR: Final = 0.07
 """The same for a ball whose reading was corrected by the calibration's own balls: they read up to 6 % large on the
 twin, 2 to 5 mm, pressed 0.15 to 0.65 mm deep."""
 
-DRIFT_FRACTION: Final[dict[StandardKind, float]] = {"ball": 0.05, "step": 0.05, "roughness": 0.1}
+MAX_CHECK_DRIFT: Final[dict[StandardKind, float]] = {"ball": 0.05, "step": 0.05, "roughness": 0.1}
 """Allowed change since the first check with a calibration: what pressing elsewhere and deeper changes."""
 
 
@@ -40,7 +40,7 @@ class CheckMeasure:
 
     def share_of(self, kind: StandardKind) -> float:
         """Return relative error of the reading itself."""
-        return OWN_FRACTION[kind] if self.own_share is None else self.own_share
+        return MAX_OWN_ERROR[kind] if self.own_share is None else self.own_share
 
     def question(self, standard: CheckStandard) -> str:
         """Return the question to the operator about a ball that reads as another common one; empty without doubt."""
@@ -111,5 +111,5 @@ def judged_check(
         measured_um=measured.value_um,
         light_fault=measured.light_fault,
         first_um=first.measured_um if first else None,
-        drift_limit_um=DRIFT_FRACTION[standard.kind] * standard.value_um if first else None,
+        drift_limit_um=MAX_CHECK_DRIFT[standard.kind] * standard.value_um if first else None,
     )

@@ -206,7 +206,7 @@ def _quiet(_: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionOptions:
-    """Options of the reconstruction of a batch; called in a process, it returns what does so.
+    """Options of the reconstruction of a batch; a call in a process returns what reconstructs a scan there.
 
     root : the library's folder
     method, band, force, detail : as for `LibraryReconstructor`

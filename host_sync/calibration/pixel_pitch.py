@@ -14,7 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from device.balls.sphere import Ball
-from device.calibration.acceptance import PITCH_COVERAGE, PITCH_GROSS_FRACTION
+from device.calibration.acceptance import MAX_PITCH_ERROR, PITCH_COVERAGE
 from device.errors import CalibrationError
 from device.surface import Float64Array
 from host_sync.calibration.balls import GridSpacing
@@ -127,7 +127,7 @@ def join_readings(stated_um: float, readings: Sequence[PitchReading]) -> PixelPi
     bias = max(reading.bias_um for reading in readings)
     sigma_um = float(np.linalg.norm([max(inner, outer), bias, own * mean]))
     pitch = PixelPitch(stated_um, mean, sigma_um, tuple(readings))
-    if abs(stated_um / mean - 1.0) > PITCH_GROSS_FRACTION:
+    if abs(stated_um / mean - 1.0) > MAX_PITCH_ERROR:
         raise CalibrationError(
             f"{readings[0].press}: its {readings[0].balls} balls {readings[0].grid.pitch_mm:g} mm apart make a pixel "
             f"{mean:.4g} ± {sigma_um:.1g} µm, and {stated_um:g} µm is stated ({stated_um / mean - 1.0:+.0%}): "

@@ -120,7 +120,7 @@ def _lights(presses: Sequence[UsedPress], at_rest: SkinAtRest | None) -> tuple[F
     found = []
     for press in presses:
         evidence = None if at_rest is None else at_rest.evidence(press.intensity)
-        known = evidence is not None and evidence.has_rest and is_light(evidence.light, evidence.gain_sigma)
+        known = evidence is not None and evidence.has_rest and is_light(evidence.light)
         found.append(evidence.light if evidence is not None and known else FrameLight.unchanged())
     return tuple(found)
 

@@ -29,7 +29,7 @@ from host_sync.errors import CalibrationFileError
 from host_sync.frames.frame_set import FrameSet
 from host_sync.frames.linear_light import mark_pattern
 
-ReportProgress = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 class Calibrator:
@@ -49,7 +49,7 @@ class Calibrator:
         cache: CalibrationCache | None = None,
         *,
         given: tuple[KeptCalibration, str] | None = None,
-        report_progress: ReportProgress = lambda _: None,
+        report_progress: Progress = lambda _: None,
         obtained: Callable[[KeptCalibration, str], None] = lambda _, __: None,
         paper: bool = False,
     ) -> None:
@@ -166,7 +166,7 @@ class Calibrator:
 
 
 def calibrate_frame_set(
-    frame_set: FrameSet, report_progress: ReportProgress = lambda _: None, *, paper: bool = False
+    frame_set: FrameSet, report_progress: Progress = lambda _: None, *, paper: bool = False
 ) -> Calibration:
     """Return the calibration that a frame set's presses carry, made now; errors as for `Calibrator.of_frame_set`."""
     report_progress("reading frames")
@@ -174,7 +174,7 @@ def calibrate_frame_set(
 
 
 def calibration_of(
-    bundle: CalibrationBundle, report_progress: ReportProgress = lambda _: None, *, paper: bool = False
+    bundle: CalibrationBundle, report_progress: Progress = lambda _: None, *, paper: bool = False
 ) -> Calibration:
     """Return the calibration that a bundle carries, made now; errors as for `Calibrator.of_bundle`."""
     return calibrate_frames(replace(frames_of_bundle(bundle), paper=paper), report_progress)

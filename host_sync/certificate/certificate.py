@@ -136,14 +136,14 @@ def verdict_words(certificate: Certificate) -> str:
 
 
 PAGES = "certificate"
-ReportProgress = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def certificate_of_frame_set(
     frame_set: FrameSet,
     specimens: Sequence[Path],
     out: Path,
-    report_progress: ReportProgress = lambda _: None,
+    report_progress: Progress = lambda _: None,
     calibrator: Calibrator | None = None,
 ) -> tuple[Certificate, list[Path]]:
     """Judge the instrument that a frame set calibrates, and return its certificate's pages; all is written to `out`.
@@ -186,7 +186,7 @@ def check_specimen(
     calibration: Calibration,
     form: FrameSpec,
     out: Path,
-    report_progress: ReportProgress,
+    report_progress: Progress,
 ) -> CheckedSpecimen:
     """Reconstruct and measure every scan of a specimen, and judge the values.
 

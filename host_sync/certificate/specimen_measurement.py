@@ -33,7 +33,7 @@ from host_sync.results.reader import ResultSurface
 
 COVERAGE: Final = 2.0
 MAX_E_N: Final = 1.0
-SPHERE_FRACTION: Final = 0.02
+SPHERE_SIGMA: Final = 0.02
 """Standard uncertainty of the shape of what is a ball, as a fraction: see `height_draws`."""
 
 SUBJECT: Final = "specimen"
@@ -80,7 +80,7 @@ def recipe_of(specimen: SpecimenFile) -> Recipe:
         return msgspec.structs.replace(plain, step=(table,))
     if specimen.kind == "sphere" and how.region_um is not None:
         ball = RadiusTable(name=SUBJECT, region_um=how.region_um)
-        sphere = msgspec.structs.replace(scale, unlike_balls_share=min(SPHERE_FRACTION, scale.unlike_balls_share))
+        sphere = msgspec.structs.replace(scale, unlike_balls_share=min(SPHERE_SIGMA, scale.unlike_balls_share))
         return msgspec.structs.replace(plain, radius=(ball,), region_um=how.region_um, form="none", scale=sphere)
     return msgspec.structs.replace(
         plain,

@@ -124,12 +124,12 @@ def _lines(certificate: Certificate) -> list[str]:
 
 # Calibrations as commands name them, and what is said of where each came from.
 
-ReportProgress = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def calibrator_for(
     named: Path | None,
-    report_progress: ReportProgress,
+    report_progress: Progress,
     facts: list[dict[str, object]] | None = None,
     *,
     paper: bool = False,
@@ -162,7 +162,7 @@ def calibrator_for(
 
 
 def obtain_calibration(
-    name: str, library: Path | None, report_progress: ReportProgress, *, paper: bool = False
+    name: str, library: Path | None, report_progress: Progress, *, paper: bool = False
 ) -> KeptCalibration:
     """Return the calibration of that name: a calibration file, a frame set, a folder, or an id.
 

@@ -15,16 +15,21 @@ from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.inverse_map.model import InverseMap
 from device.surface import Float32Array, MaskArray
 from host_sync.frame_checks.layout_check import HALF_TURNS
-from host_sync.frame_checks.level_check import largest_change
 
 TURNED_FRACTION: Final = 0.7
 """A frame is turned when a turned reference leaves less than this share of what the reference leaves unexplained."""
 
 OUT_OF_DOMAIN_DISTANCE: Final = 0.5
-"""Distance from the calibrated colours, standard deviations, from which a colour is strange."""
+"""Distance from the calibrated colours, standard deviations, from which a colour is out of domain."""
 
 MAX_OUT_OF_DOMAIN: Final = 0.25
 """Maximum fraction of out-of-domain pixels; valid frames stay below 10 %."""
+
+MAX_DRIFT: Final = 0.15
+"""Share by which untouched skin may differ from the reference in any colour; honest frames stay under 6 %."""
+
+LARGEST_GAIN: Final = 4.0
+"""Largest gain in standard deviations of the presses' own gains, where these differ more than that."""
 
 MIN_REST: Final = 0.1
 """Fraction of the field that must be untouched to be judged: a few pixels that happen to look flat prove nothing."""
@@ -46,9 +51,11 @@ def check_frame(
     turn = _turn(intensity, flat_field, step)
     if turn is not None:
         warnings.append(f"its light is distributed over the field as if it were {turn}")
-    strange = _out_of_domain_fraction(intensity, inverse, step)
-    if strange > MAX_OUT_OF_DOMAIN:
-        warnings.append(f"{strange:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})")
+    fraction = _out_of_domain_fraction(intensity, inverse, step)
+    if fraction > MAX_OUT_OF_DOMAIN:
+        warnings.append(
+            f"{fraction:.0%} of its colours are unlike those of the balls (at most {MAX_OUT_OF_DOMAIN:.0%})"
+        )
     return warnings
 
 
@@ -57,7 +64,7 @@ def check_datum(intensity: NormalizedImage, at_rest: MaskArray, gain_sigma: floa
 
     gain_sigma : relative standard deviation by which the calibration's own presses differ from the reference
     """
-    most = largest_change(gain_sigma)
+    most = max(MAX_DRIFT, LARGEST_GAIN * gain_sigma)
     resting = np.count_nonzero(at_rest)
     if resting == at_rest.size or resting < MIN_REST * at_rest.size:
         return []

@@ -29,39 +29,15 @@ a flat object may cover more of the field than untouched skin does."""
 
 MAX_CHANGE: Final = 0.15
 MAX_STRAY: Final = 0.05
-"""Largest change of a light, relative, and largest light of the surroundings, fraction of full scale, that slopes are
-corrected for."""
+"""Change of a light, relative, and light of the surroundings, fraction of full scale, that is corrected."""
 
-LARGEST_GAIN: Final = 4.0
-"""Change of a light, in standard deviations of those among the calibration's presses, that slopes are corrected for
-where it is more than `MAX_CHANGE`: automatic white balance changes a channel by half."""
+MAX_PRESS_CHANGE: Final = 0.5
+"""The same change of a calibration's press: a camera that sets white balance and exposure itself changes it so far."""
 
 
-def largest_change(gain_sigma: float) -> float:
-    """Return the largest relative change of a light that slopes are corrected for.
-
-    gain_sigma : relative standard deviation of the gains of the calibration's own presses
-    """
-    return max(MAX_CHANGE, LARGEST_GAIN * gain_sigma)
-
-
-def is_light(light: FrameLight, gain_sigma: float) -> bool:
-    """Return whether the gains and offsets of a frame may be those of its lights."""
-    return light.change <= largest_change(gain_sigma) and light.stray <= MAX_STRAY
-
-
-def check_light(light: FrameLight, gain_sigma: float) -> tuple[FrameCheck, ...]:
-    """Return the checks of the light of a frame whose untouched skin shows it."""
-    found = []
-    most = largest_change(gain_sigma)
-    for name, value, limit, unit, what in (
-        ("light drift", light.change, most, "relative", "its lights differ from the calibration's by"),
-        ("stray light", light.stray, MAX_STRAY, "of full scale", "light of the surroundings is, of full scale,"),
-    ):
-        refused = value > limit
-        words = f"{what} {value:.0%} (at most {limit:.0%})" if refused else ""
-        found.append(FrameCheck(name, "refused" if refused else "passed", value, limit, unit, words))
-    return tuple(found)
+def is_light(light: FrameLight) -> bool:
+    """Return whether the gains and offsets of a calibration's press may be those of its lights."""
+    return light.change <= MAX_PRESS_CHANGE and light.stray <= MAX_STRAY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +73,23 @@ class LevelModel:
     def reach(self) -> float:
         """Largest change of all lights together, as a fraction, that presses of the calibration show or may have."""
         return max(-self.common[0], self.common[1])
+
+    def check_light(self, light: FrameLight) -> tuple[FrameCheck, FrameCheck]:
+        """Return the checks of the light of a frame whose untouched skin shows it.
+
+        A channel's light may differ by `MAX_CHANGE`, and as far as the presses show of that channel.
+        """
+        change = light.gains - 1.0
+        allowed = np.where(change > 0.0, np.expm1(self.high), -np.expm1(self.low))
+        most = np.maximum(allowed, MAX_CHANGE)
+        worst = int((np.abs(change) / most).argmax())
+        drift = abs(float(change[worst])), float(most[worst])
+        return (
+            _limited("light drift", *drift, "relative", "its lights differ from the calibration's by"),
+            _limited(
+                "stray light", light.stray, MAX_STRAY, "of full scale", "light of the surroundings is, of full scale,"
+            ),
+        )
 
     def check(self, cells: Float32Array) -> FrameCheck:
         """Return the check of a frame's log intensity in cells."""
@@ -279,3 +272,10 @@ def _shift(cells: Float32Array, gradient: Float64Array) -> LightShift | None:
         scatter = max(1.4826 * float(np.median(left[kept])), MIN_SCATTER)
         kept = (left < OUTLIER * scatter).all(axis=1)
     return LightShift(float(solution[3]), float(solution[4]), scatter, float(max(kept.mean(), 1e-3)))
+
+
+def _limited(name: str, value: float, limit: float, unit: str, what: str) -> FrameCheck:
+    """Return the check of a value that may be as large as its limit."""
+    if value > limit:
+        return FrameCheck(name, "refused", value, limit, unit, f"{what} {value:.0%} (at most {limit:.0%})")
+    return FrameCheck(name, "passed", value, limit, unit)

@@ -28,7 +28,7 @@ CELL_PX: Final = 4
 """Pixels along a cell: a pixel, and its neighbours that share its noise, count little in the mean."""
 
 MIN_OWN: Final = np.float32(0.02)
-"""Weight up to which a pixel is strange by more than noise: dust, an edge. It stays, and counts for no other pixel."""
+"""Weight up to which a pixel is out of domain by more than noise: dust, an edge. It counts for no other pixel."""
 
 
 def even_confidence(gradients: GradientField, clipped: MaskArray) -> None:
@@ -100,28 +100,28 @@ def extrapolated(
     inverse: InverseMap,
     p: Float32Array,
     q: Float32Array,
-    out_of_domain: MaskArray | None = None,
+    blocks: MaskArray | None = None,
 ) -> MaskArray:
     """Return True where a slope lies beyond the calibration's training data, shape (H, W).
 
     p, q : float32 arrays of shape (H, W), slopes of the surface, NaN where invalid
-    out_of_domain : `out_of_domain_blocks` of the image, where it was computed before
+    blocks : `out_of_domain_blocks` of the image, where it was computed before
     """
     out = np.empty(intensity.shape, np.bool_)
     limit = np.float32((STEEPER * inverse.max_trained_slope) ** 2)
-    blocks = out_of_domain_blocks(intensity, inverse) if out_of_domain is None else out_of_domain
+    blocks = out_of_domain_blocks(intensity, inverse) if blocks is None else blocks
     parallel_rows(_mark, out.shape, p, q, limit, blocks, _step(intensity.shape), out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _mark(p: Any, q: Any, limit: Any, out_of_domain: Any, step: int, out: Any, first: int, last: int) -> None:
-    """Write where slopes are steep or blocks of `step` pixels strange, and there is a surface at all."""
+def _mark(p: Any, q: Any, limit: Any, blocks: Any, step: int, out: Any, first: int, last: int) -> None:
+    """Write where slopes are steep or blocks of `step` pixels out of domain, and there is a surface at all."""
     columns = out.shape[1]
     block = np.empty(columns, np.bool_)
     for r in range(first, last):
         for c in range(columns):
-            block[c] = out_of_domain[r // step, c // step]
+            block[c] = blocks[r // step, c // step]
         _mark_row(p[r], q[r], limit, block, out[r])
 
 
@@ -142,9 +142,9 @@ def out_of_domain_blocks(intensity: NormalizedImage, inverse: InverseMap) -> Mas
     values = intensity.values[step // 2 :: step, step // 2 :: step]
     # A last block that is cut before its middle has no point of its own.
     height, width = -(-rows // step), -(-columns // step)
-    out_of_domain = np.zeros((height, width), np.bool_)
+    blocks = np.zeros((height, width), np.bool_)
     if inverse.leverage is None:
-        return out_of_domain
+        return blocks
     seen_rows, seen_columns, _ = values.shape
     found = np.zeros((seen_rows, seen_columns), np.bool_)
     across = np.arange(seen_columns) * step + step // 2
@@ -156,8 +156,8 @@ def out_of_domain_blocks(intensity: NormalizedImage, inverse: InverseMap) -> Mas
     for start in range(0, len(colours), _CHUNK):
         part = slice(start, start + _CHUNK)
         flat[part] = inverse.leverage.relative(inverse.curve, colours[part], place[part]) > MAX_LEVERAGE
-    out_of_domain[:seen_rows, :seen_columns] = flat.reshape(found.shape)
-    return out_of_domain
+    blocks[:seen_rows, :seen_columns] = flat.reshape(found.shape)
+    return blocks
 
 
 def _step(shape: tuple[int, int]) -> int:

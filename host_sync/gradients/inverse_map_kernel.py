@@ -231,7 +231,7 @@ def _evaluate(
 ) -> None:  # fmt: skip
     """Fill the rows `first` to `last` - 1 of p, q, weight, valid.
 
-    limits : of the colours that the training data show
+    limits : of the training domain
     near : directions of lights for a curve `own` that reads near lights' slopes, or empty: it reads intensity
     min_volume : of these directions
     light : by places and columns for the curve `lit`, or empty

@@ -247,7 +247,7 @@ MIN_KEPT: Final = 0.004
 QUIETEST: Final = 0.1
 MIN_CELLS: Final = 100
 MIN_SIDE: Final = 4
-"""Cells that suffice, and along the shorter side of a field that has any."""
+"""Least number of cells, in all and along the field's shorter side."""
 
 
 def is_relief(height: HeightMap, gradients: GradientField, skin: MaskArray) -> bool:

@@ -26,7 +26,7 @@ from host_sync.kernels.jit import njit
 NO_ZERO: Final = "no zero: heights are relative, because no untouched skin was found"
 """The warning where nothing was taken for zero."""
 
-FAR_FRACTION: Final = 0.2
+FAR_WEIGHT: Final = 0.2
 """Of the largest distance from touched skin; skin farther off is far."""
 
 MIN_FRACTION: Final = 0.02
@@ -52,7 +52,7 @@ Incompressible gel bulges away from the camera beside an object, by a few per ce
 up to a thousandth of the field, if they are large.
 """
 
-SPREAD_FRACTION: Final = 0.7
+ZERO_SIGMA_BY_SPREAD: Final = 0.7
 """Standard uncertainty of the mean of blocks' heights, as a share of their spread: slope errors add up over the field,
 so that blocks do not err independently.
 
@@ -60,7 +60,7 @@ On eleven rendered devices the mean was off by 0.1 to 0.3 of the spread. Objects
 slopes, were off by 0.7 to 1.7 of it.
 """
 
-SINKING_FRACTION: Final = 0.5
+SINKING_SIGMA: Final = 0.5
 """Standard uncertainty of how much skin sinks yet, as a share: elastomers are thicker than a membrane on springs."""
 
 TRIMMED: Final = 0.2
@@ -106,9 +106,9 @@ class Datum:
 
         known_um : root mean square by which those errors let blocks' heights differ
         """
-        share = 1.0 if self.is_relative else SPREAD_FRACTION
+        share = 1.0 if self.is_relative else ZERO_SIGMA_BY_SPREAD
         left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
-        return float(np.hypot(left_um, SINKING_FRACTION * self.sinking_um))
+        return float(np.hypot(left_um, SINKING_SIGMA * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:
@@ -199,7 +199,7 @@ def _far_and_low(
     other = valid[here] & ~resting
     if other.any():
         distance = distance_px(other)
-        away = resting & (distance >= FAR_FRACTION * float(distance[resting].max(initial=0.0)))
+        away = resting & (distance >= FAR_WEIGHT * float(distance[resting].max(initial=0.0)))
         resting = away if away.mean() >= MIN_FRACTION else resting
     full = cv2.resize(resting.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     return np.asarray(full & flat)
@@ -317,13 +317,13 @@ LOW_FRACTION: Final = 0.25
 
 MIN_SINKING_CELLS: Final = 200
 MIN_CORRELATION: Final = 0.8
-"""Of heights and bends, below which they mean nothing."""
+"""Correlation of heights and bends below which bends are not used."""
 
 ROUNDS: Final = 5
 OUTLIER: Final = 2.5
 """Cells off by so many standard deviations are left out of the next round's line."""
 
-MAX_FRACTION: Final = 0.05
+MAX_LEFT: Final = 0.05
 """Of the map's height, at most, that skin at rest is taken to stand above zero."""
 
 
@@ -349,7 +349,7 @@ def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArr
     if int(free.sum()) < MIN_SINKING_CELLS:
         return 0.0
     left_px = _unbent_at(z[free].astype(np.float64), bend[free].astype(np.float64))
-    return float(np.clip(-left_px, 0.0, MAX_FRACTION * max(top_px, 0.0)) * height.pitch_um)
+    return float(np.clip(-left_px, 0.0, MAX_LEFT * max(top_px, 0.0)) * height.pitch_um)
 
 
 def _unbent_at(z: Float64Array, bend: Float64Array) -> float:

@@ -7,11 +7,18 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from device.balls.sphere import Ball, BallSamples
-from device.surface import Float64Array, MaskArray
-from host_sync.light.kernel_derivatives import COAT, COAT_SIGMA, COAT_START, EXTENT, Numbers, light_derivatives
+from device.surface import Float64Array
+from host_sync.light.kernel_derivatives import (
+    COAT,
+    COAT_SIGMA,
+    COAT_START,
+    EXTENT,
+    Jacobian,
+    Numbers,
+    light_derivatives,
+)
 from host_sync.light.model import PLACES, TERMS, LightModel, place_terms, residual_terms
 
 SAMPLES: Final = 3000
@@ -259,16 +266,18 @@ class Bundle:
         robust = OUTLYING**2 * np.log1p(np.square(error / OUTLYING))
         return float(robust.sum() + (weight * np.square(numbers.packed() - expected)).sum())
 
-    def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, _Jacobian]:
+    def _system(self, numbers: Numbers) -> tuple[Float64Array, Float64Array, Jacobian]:
         """Return matrix and right side of the normal equations of the free numbers, and the Jacobian."""
         terms = self.terms(numbers)
         error = terms.shown - self.intensity
-        shared, features = np.zeros((*error.shape, 0)), terms.lit.features
+        features = terms.lit.features
         if self.stage == "sources":
             shared, features = np.stack(list(self._source_columns(numbers, terms)), axis=-1), features[:, :0]
+        else:
+            shared = np.zeros((*error.shape, 0))
         weight = 1.0 / (self.sigma**2 + np.square(error / OUTLYING))
         by_shift = self._by_shift(numbers, terms)
-        jacobian = _Jacobian(shared, by_shift, self.ball, len(self.balls), features, error, weight)
+        jacobian = Jacobian(shared, by_shift, self.ball, len(self.balls), features, error, weight)
         system, gradient = jacobian.normal_equations(slice(None))
         expected, prior = (part[self._free(numbers)] for part in self._prior(numbers))
         system[np.diag_indices_from(system)] += prior
@@ -346,52 +355,6 @@ class _Terms:
     lit: _Lit
     ratio: Float64Array
     at_rest: Float64Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Jacobian:
-    """Derivatives of the intensity of samples (N,) in channels (C,), and its weighted errors.
-
-    shared : by numbers that all channels share, or of one channel, shape (N, C, K)
-    by_shift : by the shift of each sample's ball, shape (N, C, 2); other balls' shifts change nothing
-    ball, balls : number of each sample's ball, shape (N,), and number of all balls
-    features : by the residual's coefficients of any channel, shape (N, F)
-    error, weight : of the predicted intensity, shape (N, C)
-    """
-
-    shared: Float64Array
-    by_shift: Float64Array
-    ball: NDArray[np.intp]
-    balls: int
-    features: Float64Array
-    error: Float64Array
-    weight: Float64Array
-
-    def normal_equations(self, rows: MaskArray | slice) -> tuple[Float64Array, Float64Array]:
-        """Return the system and the gradient of some rows: shared numbers, shifts, coefficients of each channel."""
-        from scipy.sparse import csr_array  # here, because reading a calibration fits nothing
-
-        first, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
-        shifts = first + np.arange(2 * self.balls)
-        system = np.zeros((first + len(shifts) + channels * own,) * 2)
-        gradient = np.zeros(len(system))
-        ball, features = self.ball[rows], self.features[rows]
-        columns = (2 * ball[:, None] + np.arange(2)).ravel()
-        for channel in range(channels):
-            dense = np.append(np.arange(first), first + len(shifts) + channel * own + np.arange(own))
-            root = np.sqrt(self.weight[rows, channel])
-            error = root * self.error[rows, channel]
-            jacobian = root[:, None] * np.concatenate([self.shared[rows, channel], features], axis=1)
-            entries = (root[:, None] * self.by_shift[rows, channel]).ravel()
-            of_balls = csr_array((entries, columns, 2 * np.arange(len(ball) + 1)), (len(ball), len(shifts))).T
-            system[np.ix_(dense, dense)] += jacobian.T @ jacobian
-            crossed = of_balls @ jacobian
-            system[np.ix_(shifts, dense)] += crossed
-            system[np.ix_(dense, shifts)] += crossed.T
-            system[np.ix_(shifts, shifts)] += (of_balls @ of_balls.T).toarray()
-            gradient[dense] += jacobian.T @ error
-            gradient[shifts] += of_balls @ error
-        return system, gradient
 
 
 def _stepped(numbers: Numbers, free: slice, system: Float64Array, gradient: Float64Array) -> Numbers:

@@ -1,4 +1,7 @@
-"""Numbers of a light model, and derivatives of what `kernels.write_light` writes by places of sources and coat."""
+"""Numbers of a light model, and derivatives of what `kernels.write_light` writes by places of sources and coat.
+
+The normal equations of a fit hold the shift of each ball in a block of its own.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from device.surface import Float64Array
+from device.surface import Float64Array, MaskArray
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernels import GRAZING, to_camera
@@ -223,3 +227,49 @@ class Numbers:
         change[2, 1] = 0.081 * roughness / (square + 0.09) ** 2
         change[4, 3], change[5, 4] = 2.0 * width, tail
         return change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jacobian:
+    """Derivatives of the intensity of samples (N,) in channels (C,), and its weighted errors.
+
+    shared : by numbers that all channels share, or of one channel, shape (N, C, K)
+    by_shift : by the shift of each sample's ball, shape (N, C, 2); other balls' shifts change nothing
+    ball, balls : number of each sample's ball, shape (N,), and number of all balls
+    features : by the residual's coefficients of any channel, shape (N, F)
+    error, weight : of the predicted intensity, shape (N, C)
+    """
+
+    shared: Float64Array
+    by_shift: Float64Array
+    ball: NDArray[np.intp]
+    balls: int
+    features: Float64Array
+    error: Float64Array
+    weight: Float64Array
+
+    def normal_equations(self, rows: MaskArray | slice) -> tuple[Float64Array, Float64Array]:
+        """Return the system and the gradient of some rows: shared numbers, shifts, coefficients of each channel."""
+        from scipy.sparse import csr_array  # here, because reading a calibration fits nothing
+
+        shared, own, channels = self.shared.shape[-1], self.features.shape[1], self.error.shape[1]
+        shifts = shared + np.arange(2 * self.balls)
+        system = np.zeros((shared + len(shifts) + channels * own,) * 2)
+        gradient = np.zeros(len(system))
+        ball, features = self.ball[rows], self.features[rows]
+        column, begin = (2 * ball[:, None] + np.arange(2)).ravel(), 2 * np.arange(len(ball) + 1)
+        for channel in range(channels):
+            others = np.append(np.arange(shared), shared + len(shifts) + channel * own + np.arange(own))
+            root = np.sqrt(self.weight[rows, channel])
+            error = root * self.error[rows, channel]
+            by_others = root[:, None] * np.concatenate([self.shared[rows, channel], features], axis=1)
+            entries = (root[:, None] * self.by_shift[rows, channel]).ravel()
+            by_shifts = csr_array((entries, column, begin), (len(ball), len(shifts)))
+            crossed = by_shifts.T @ by_others
+            system[np.ix_(others, others)] += by_others.T @ by_others
+            system[np.ix_(shifts, others)] += crossed
+            system[np.ix_(others, shifts)] += crossed.T
+            system[np.ix_(shifts, shifts)] += (by_shifts.T @ by_shifts).toarray()
+            gradient[others] += by_others.T @ error
+            gradient[shifts] += by_shifts.T @ error
+        return system, gradient

@@ -95,12 +95,12 @@ def correct_slopes(
     change = cells.confirmed_change(found, light.confirmed).astype(np.float32).reshape(*size, 2)
     p_change, q_change = (np.ascontiguousarray(change[..., axis]) for axis in (0, 1))
     shadow = found.shadow.astype(np.float32).reshape(size)
-    slope_deviations = np.float32(SHADOW_SIGMA) * shadow
+    relative_sigma = np.float32(SHADOW_SIGMA) * shadow
     return CellCorrection(
         p_change,
         q_change,
-        slope_deviations * p_change,
-        slope_deviations * q_change,
+        relative_sigma * p_change,
+        relative_sigma * q_change,
         shadow,
         cell,
         partial(_deviations, cells, found, light, raised),
@@ -161,7 +161,7 @@ def _unexplained(model: LightModel, slope: Float64Array) -> Iterator[Float64Arra
 SAMPLES: Final = 4
 """Pixels along a cell whose slopes are asked, at least."""
 
-MAX_FRACTION: Final = 0.1
+MAX_HIDDEN: Final = 0.1
 """Share of a cell's slope that may be hidden; slopes that differ by more are misread."""
 
 
@@ -188,7 +188,7 @@ def slopes_hidden_by_means(
     p_hidden = p - p_normal / normal + blur * (pp * p + pq * q) / square
     q_hidden = q - q_normal / normal + blur * (pq * p + qq * q) / square
     share = np.hypot(p_hidden, q_hidden) / np.maximum(np.sqrt(square - 1.0), 1e-12)
-    believed = np.minimum(1.0, MAX_FRACTION / np.maximum(share, 1e-12))
+    believed = np.minimum(1.0, MAX_HIDDEN / np.maximum(share, 1e-12))
     return np.stack([believed * p_hidden, believed * q_hidden], axis=-1), np.moveaxis(spread, 0, -1)
 
 
@@ -328,10 +328,10 @@ class CellCorrection:
     """Change of pixels' slopes, at the middles of cells.
 
     p, q : float32 arrays of shape (h, w), to be added
-    sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, by how much slopes are unsure there all at once
+    sigma_p, sigma_q : float32 arrays of shape (h, w), with sign, standard uncertainties of slopes there, all at once
     shadow : float32 array of shape (h, w), 0 where every light arrives, 1 where one does not
     cell : pixels along a cell
-    slope_deviations : gives float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a
+    slope_deviations : returns float32 arrays of shape (K, h, w), deviations of slopes p and q whose squares add to a
         variance, each wrong all at once; called once, in the background; None where nothing is known of them
     left_alone : float32 array of shape (h, w), how much slopes are as the map reads them, so that what is not known of
         the map counts: 1 where a pixel is saturated, or the correction does not explain what is seen; else 0

@@ -116,7 +116,7 @@ def _of_unit_slope(heights: Float32Array) -> Float32Array:
 
 SEED: Final = 25178
 
-UNLIKE_BALLS_FRACTION: Final = 0.02
+UNLIKE_BALLS_SIGMA: Final = 0.02
 """Of heights on surfaces that no ball is like: steps, grooves, planes and waves over 10 px are 0.2, 0.3, 0.4 and 0.7 %
 off in the mean on four rendered sensors, at worst 0.4, 0.9, 0.8 and 1.9 % on one of them (docs/accuracy.md); what an
 instrument of your own does, a certified step shows."""
@@ -138,7 +138,7 @@ class StatedScale(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     pixel_pitch_share: Share | None = None
     ball_radius_share: Share | None = None
-    unlike_balls_share: Share = UNLIKE_BALLS_FRACTION
+    unlike_balls_share: Share = UNLIKE_BALLS_SIGMA
 
 
 @dataclass(frozen=True, slots=True, eq=False)

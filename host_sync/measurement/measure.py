@@ -56,7 +56,7 @@ NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: 
 
 BEYOND: Final = "reaches beyond the field: only the part inside is measured"
 
-NOISE_FRACTION_UNSURE: Final = 0.2
+NOISE_BIAS_SIGMA: Final = 0.2
 """Share of what noise has raised a number by that is not sure: a tenth of the noise."""
 
 ROUNDING: Final = 1e-6
@@ -330,7 +330,7 @@ def _quantities(
                 value -= taken
                 # Its spread over the samples, and beside it the uncertainty of the noise.
                 spread = float(np.sqrt(max(known[0] ** 2 - known[1] ** 2, 0.0)))
-                known = float(np.hypot(spread, NOISE_FRACTION_UNSURE * taken)), 0.0, known[2]
+                known = float(np.hypot(spread, NOISE_BIAS_SIGMA * taken)), 0.0, known[2]
             if known and abs(known[1]) > max(NOISE_WARNING * known[0], NOISE_FRACTION * abs(value)):
                 verb = "raises" if known[1] > 0.0 else "lowers"
                 words += (f"measurement noise {verb} it by about {abs(known[1]):.2g} {kind.unit}".rstrip(),)

@@ -63,7 +63,7 @@ def repeats_px(presses: list[Small]) -> float | None:
     return min(found) if 2 * len(found) >= len(presses) and found else None
 
 
-ReportProgress = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def stitch(
@@ -72,7 +72,7 @@ def stitch(
     *,
     layout: Layout | None = None,
     left_out: Sequence[str] = (),
-    report_progress: ReportProgress = lambda _: None,
+    report_progress: Progress = lambda _: None,
 ) -> MosaicRecord:
     """Return the mosaic of the presses, written to the directory `out` as a result; returns its record.
 
@@ -112,15 +112,13 @@ def stitch(
     return record
 
 
-def planned(
-    presses: list[Press], *, layout: Layout | None = None, report_progress: ReportProgress = lambda _: None
-) -> Plan:
+def planned(presses: list[Press], *, layout: Layout | None = None, report_progress: Progress = lambda _: None) -> Plan:
     """Return where the presses lie and how they are levelled; errors as for `stitch`."""
     check_together(presses)
     return _plan(presses, [small_of(press) for press in presses], layout, report_progress)
 
 
-def _plan(presses: list[Press], small: list[Small], layout: Layout | None, report_progress: ReportProgress) -> Plan:
+def _plan(presses: list[Press], small: list[Small], layout: Layout | None, report_progress: Progress) -> Plan:
     """Return the plan of presses that were read."""
     report_progress("looking for overlaps")
     period_px = repeats_px(small)

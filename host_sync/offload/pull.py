@@ -51,7 +51,7 @@ class PullProgress:
     total_bytes: int
 
 
-ReportProgress = Callable[[PairedDevice, PullProgress], None]
+Progress = Callable[[PairedDevice, PullProgress], None]
 
 
 def pull(
@@ -268,7 +268,7 @@ def sync(
     library: Library,
     devices: PairedDevices,
     open_device: Opener,
-    report_progress: ReportProgress,
+    report_progress: Progress,
     *,
     verify: bool = False,
 ) -> list[PullReport | HostError | DeviceError]:

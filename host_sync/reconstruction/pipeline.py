@@ -125,14 +125,14 @@ def reconstruct(
     uncertainty.start()
     surface = _Surface.of(heights, slopes, resting, reading, noise, detail)
     intensity, inverse_map = reading.first.intensity, calibration.inverse.map
-    out_of_domain = extrapolated(
+    beyond = extrapolated(
         intensity, inverse_map, surface.p, surface.q, reading.first.uncorrected_results.result().out_of_domain
     )
     if resting.prior is not None and not heights.datum.is_relative:
-        out_of_domain &= ~heights.datum.skin
-    of_calibration = height_independent.result().calibration.with_unresolved(*slopes)
+        beyond &= ~heights.datum.skin
+    calibration_sigma = height_independent.result().calibration_sigma.with_unresolved(*slopes)
     kept, error = noise.shrunk_kept if noise else NOISE_KEPT, slope_error_of(calibration, reading.method)
-    sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, of_calibration, kept)
+    sigma = slope_sigma(heights.gradients, *slopes, nonintegrable, error, calibration_sigma, kept)
     known = uncertainty.result()
     return Reconstruction(
         method=reading.method,
@@ -144,7 +144,7 @@ def reconstruct(
         slope_sigma=surface.sigma(sigma, slopes, noise),
         gradients=surface.gradients,
         integration=integration,
-        extrapolated=out_of_domain,
+        extrapolated=beyond,
         clipped_share=float(np.count_nonzero(intensity.clipped)) / intensity.clipped.size,
         warnings=(*reading.warnings, *heights.unlit, *([NO_ZERO] if heights.datum.is_relative else [])),
         frame_checks=(

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 class HeightIndependentTerms:
     """Parts of a result that do not depend on its heights, so that both are computed at once.
 
-    calibration : what the calibration does not know of slopes, on the reduced field (h, w)
+    calibration_sigma : standard uncertainty of slopes that the calibration leaves, on the reduced field (h, w)
     shadow : standard uncertainties of slopes p and q where a light is hidden, float32 arrays of shape (h, w); None
         where nothing corrects slopes
     draws : random numbers behind the samples of height errors
     """
 
-    calibration: CalibrationUncertainty
+    calibration_sigma: CalibrationUncertainty
     shadow: tuple[Float32Array, Float32Array] | None
     draws: SlopeDraws
 
@@ -76,7 +76,7 @@ def uncertainty_of(
         slope_error_of(calibration, reading.method),
         datum,
         known_scale_share(calibration),
-        calibration=terms.calibration,
+        calibration=terms.calibration_sigma,
         shadow=terms.shadow,
         draws=terms.draws,
     )

@@ -14,7 +14,7 @@ from typing import Final
 
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
-from device.calibration.acceptance import PITCH_GROSS_FRACTION
+from device.calibration.acceptance import MAX_PITCH_ERROR
 from device.errors import CalibrationMismatch, DeviceError
 from device.imaging.flat_field import LinearFrame
 from device.io.atomic import check_replaceable
@@ -136,7 +136,7 @@ def reconstruct_frame_set(
 def _check_pixels(frame_set: FrameSet, kept: KeptCalibration) -> None:
     """Refuse a calibration of pixels of another pitch or shape than the frame set states."""
     pitch_um, shape = kept.calibration.pitch_um, kept.facts.pixel_shape
-    if abs(frame_set.pixel_pitch_um / pitch_um - 1.0) > PITCH_GROSS_FRACTION:
+    if abs(frame_set.pixel_pitch_um / pitch_um - 1.0) > MAX_PITCH_ERROR:
         raise FrameSetError(
             f"{frame_set.path}: pixel_pitch_um: {frame_set.pixel_pitch_um:g} is not the calibration's {pitch_um:g}: "
             "use a calibration of this camera mode"

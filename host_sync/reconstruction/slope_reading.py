@@ -21,7 +21,6 @@ from device.inverse_map.skin_at_rest import RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
 from host_sync.frame_checks.colour_check import check_frame
-from host_sync.frame_checks.level_check import check_light
 from host_sync.gradients.confidence import even_confidence, out_of_domain_blocks
 from host_sync.gradients.flat_field_kernel import check_exposure, raw_intensity, take_out_light
 from host_sync.gradients.inverse_map_kernel import SlopeKernel
@@ -110,8 +109,8 @@ class UncorrectedResults:
     """Results on a frame that do not depend on its correction, and are computed beside it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
-    out_of_domain : as `out_of_domain_blocks` returns it; None of other lights than the first three, whose pixels are
-        those of all
+    out_of_domain : as `out_of_domain_blocks` returns it; None of groups of
+        lights after the first, whose blocks count for all
     """
 
     raw: GradientField | None
@@ -261,7 +260,7 @@ def _read_channels(
     raw, shrinkage = intensity, calibration.shrinkage
     rest = None if calibration.skin_at_rest is None else calibration.skin_at_rest.evidence(raw)
     if rest is not None and rest.has_rest:
-        checks = (*checks, *check_light(rest.light, rest.gain_sigma))
+        checks = (*checks, *calibration.frame_model.levels.check_light(rest.light))
         take_out_light(rest.light, raw.values, calibration.flat_field)
     if shrinkage is not None:
         intensity = shrinkage.shrunk(raw)

@@ -176,11 +176,11 @@ CLOSE_WIDTHS: Final = 0.15
 MIN_PLACES: Final = 4
 """Balls from which what is common to all, and what is not, is estimated."""
 
-FAR_FRACTION: Final = 0.02
+FAR_WEIGHT: Final = 0.02
 """Smallest weight of a ball, however far it is."""
 
 GENTLE_DEG: Final = 10.0
-"""Bands below are one: of single degrees noise and centres weigh more than gains."""
+"""Bands below are one: within single degrees noise and centres weigh more than gains."""
 
 
 def gains_of_ball(
@@ -302,7 +302,7 @@ def gains_by_place(
         for count, at in zip((columns, rows), np.array(places).T, strict=True)
     )
     counts, total = down @ across.T, (down * square) @ across.T
-    mean = (total + FAR_FRACTION * square.sum()) / (counts + FAR_FRACTION * len(square))
+    mean = (total + FAR_WEIGHT * square.sum()) / (counts + FAR_WEIGHT * len(square))
     return np.asarray(np.sqrt(mean / square.mean()), np.float32)
 
 

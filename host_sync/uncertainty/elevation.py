@@ -26,7 +26,7 @@ MAX_PRESSES: Final = 3
 """Presses whose apexes are measured."""
 
 CELL_PX: Final = 4
-"""Pixels of a cell that is small enough for an apex."""
+"""Width of a cell, pixels; an apex spans several."""
 
 NEAREST_FRACTION: Final = 0.2
 """No light is taken to stand lower than five times the balls' apexes."""

@@ -21,7 +21,6 @@ from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import SequenceError
 from host_sync.frame_checks.colour_check import SAMPLES_ALONG, check_datum, check_frame
-from host_sync.frame_checks.level_check import check_light
 from host_sync.frames.frame_set_file import Encoding
 from host_sync.frames.linear_light import frame_of_values, light_of_values
 from host_sync.frames.sequence import StoredFrame
@@ -193,7 +192,8 @@ class FrameSolver:
         evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
         if evidence is None or not evidence.has_rest:
             return FrameLight.unchanged()
-        raise_on_warnings(refusals(check_light(evidence.light, evidence.gain_sigma)), frame.name, force=self.force)
+        checks = self._calibration.frame_model.levels.check_light(evidence.light)
+        raise_on_warnings(refusals(checks), frame.name, force=self.force)
         return evidence.light
 
     def solve(

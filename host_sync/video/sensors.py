@@ -48,7 +48,7 @@ TWIN_RATE_HZ: Final = 30.0
 
 _CAMERA: Final = re.compile(r"(?:/dev/video)?(\d+)")
 Shape = tuple[int, int]
-ReportProblem = Callable[[str | None], None]
+ProblemChange = Callable[[str | None], None]
 
 
 class Capture(Protocol):
@@ -65,7 +65,7 @@ class Sensor:
     """Frames of a source in real time, without end where it is a sensor.
 
     opened : opens the source
-    report_problem : is given a sentence when the sensor is lost, and None when it is found again
+    set_problem : is given a sentence when the sensor is lost, and None when it is found again
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class Sensor:
         name: str,
         opened: Callable[[], Capture],
         clock: Clock | None = None,
-        report_problem: ReportProblem = lambda _: None,
+        set_problem: ProblemChange = lambda _: None,
     ) -> None:
         self.name = name
-        self.report_problem = report_problem
+        self.set_problem = set_problem
         self._open, self._clock = opened, clock or SystemClock()
         self._capture: Capture | None = opened()
         self._closed = False
@@ -89,11 +89,11 @@ class Sensor:
                 try:
                     if self._capture is None:
                         self._capture = self._open()
-                        self.report_problem(None)
+                        self.set_problem(None)
                     found = self._capture.read()
                 except (HalError, SourceError) as error:
                     self._release()
-                    self.report_problem(f"{error}")
+                    self.set_problem(f"{error}")
                     self._clock.sleep(RETRY_S)
                     continue
                 if found is None:

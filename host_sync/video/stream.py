@@ -241,7 +241,7 @@ class LiveHeights:
         self.has_sigma = sigma
         self._sensor, self._rate_hz = sensor, rate_hz or DEFAULT_RATE_HZ
         if sensor is not None:
-            sensor.report_problem = self._set_problem
+            sensor.set_problem = self._set_problem
         self._stream = FrameStream(solver, 1 if newest else None, sigma=sigma)
         self._newest = NewestFrames(frames, tap) if newest else None
         self._solved = self._stream.solve(frames if self._newest is None else self._newest)

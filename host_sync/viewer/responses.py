@@ -225,7 +225,7 @@ FRAME_PX: Final = 4096
 SIGMA_PX: Final = 768
 _LIGHT: Final = (-0.5417, -0.5417, 0.6428)
 _AMBIENT: Final = 0.15
-_WHITE_FRACTION: Final = 99.7
+_WHITE_PERCENTILE: Final = 99.7
 
 
 def thumbnail(z_um: Float32Array, pitch_um: float) -> bytes:
@@ -294,7 +294,7 @@ def grey_frames(first: Entry, second: Entry) -> tuple[Float32Array, Float32Array
 
 def _display_rgb(rgb: Float32Array) -> NDArray[np.uint8]:
     """sRGB of linear light, scaled to the full range."""
-    white = max(float(np.percentile(rgb[::7, ::7], _WHITE_FRACTION)), 1e-6)
+    white = max(float(np.percentile(rgb[::7, ::7], _WHITE_PERCENTILE)), 1e-6)
     steps = np.clip(rgb / white, 0.0, 1.0) * np.float32(4095.0)
     linear = np.arange(4096) / 4095.0
     curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)

@@ -34,7 +34,7 @@ from host_sync.calibration_file.calibrator import calibration_of
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.same_spot.changes import WIDTH_TO_DIAMETER
 from tests.benchmarks.mosaic.ruler import ReliefMap
-from tests.benchmarks.mosaic.same_spot import DEPTH_UM, Dented, Outcome, judged, metal_map, report_progress, write
+from tests.benchmarks.mosaic.same_spot import DEPTH_UM, Dented, Outcome, judged, metal_map, write, write_figures
 from tests.benchmarks.speed.specimen import BALL_RADIUS_MM, twin_of
 
 SHAPE: Final = (272, 364)
@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
         gels = [Gel(options.first + number, Path(folder) / f"{number}") for number in range(options.gels)]
     for depth_um, count in ((DEPTH_UM, options.dents), (0.0, options.pairs)):
         seeds = range(options.first, options.first + count)
-        report_progress([outcome(metal, gels, seed, depth_um) for seed in seeds], depth_um)
+        write_figures([outcome(metal, gels, seed, depth_um) for seed in seeds], depth_um)
     write(f"{time.perf_counter() - started:.0f} s")
     return 0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.surface import GradientField, HeightMap
-from host_sync.integration.zero_level import MAX_FRACTION, SPREAD_FRACTION, Datum, _unbent_at, height_left_um
+from host_sync.integration.zero_level import MAX_LEFT, ZERO_SIGMA_BY_SPREAD, Datum, _unbent_at, height_left_um
 
 SHAPE = (240, 320)
 PITCH_UM = 20.0
@@ -35,14 +35,14 @@ def left_um(zero_um: float, noise: float = 0.0) -> float:
 
 def test_the_bend_of_free_skin_tells_how_far_it_sinks_yet() -> None:
     lowest = TOP_UM * np.exp(-(0.5 * (SHAPE[1] - 1) - 30.0) / LENGTH_PX)
-    assert 10.0 < lowest < MAX_FRACTION * TOP_UM
+    assert 10.0 < lowest < MAX_LEFT * TOP_UM
     assert left_um(float(lowest)) == pytest.approx(lowest, rel=0.1)
     assert left_um(float(lowest), noise=0.002) == pytest.approx(lowest, rel=0.25)
     assert left_um(0.0) == pytest.approx(0.0, abs=1.0)
 
 
 def test_no_more_is_taken_off_than_a_share_of_the_height_and_nothing_below_rest() -> None:
-    assert left_um(200.0) <= MAX_FRACTION * TOP_UM
+    assert left_um(200.0) <= MAX_LEFT * TOP_UM
     assert left_um(-30.0) == 0.0
 
 
@@ -63,7 +63,7 @@ def test_a_zero_at_rest_lies_lower_and_is_less_sure() -> None:
     at_rest = datum.at_rest(height, gradients)
     assert abs(at_rest.zero_um) < 0.4 * datum.zero_um
     assert at_rest.zero_sigma_um == pytest.approx(
-        np.hypot(SPREAD_FRACTION, 0.5 * (datum.zero_um - at_rest.zero_um)), rel=1e-5
+        np.hypot(ZERO_SIGMA_BY_SPREAD, 0.5 * (datum.zero_um - at_rest.zero_um)), rel=1e-5
     )
     assert Datum(resting, 5.0, 1.0, 0.0).at_rest(height, gradients).zero_um == 5.0
 

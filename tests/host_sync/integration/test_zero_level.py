@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.surface import GradientField, HeightMap
-from host_sync.integration.zero_level import SPREAD_FRACTION, block_medians, find_datum
+from host_sync.integration.zero_level import ZERO_SIGMA_BY_SPREAD, block_medians, find_datum
 
 SHAPE, PITCH_UM = (240, 320), 10.0
 ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -76,7 +76,7 @@ def test_uneven_skin_at_rest_says_how_unsure_its_zero_is() -> None:
     found = datum_of(bowl)
     assert found.spread_um == pytest.approx(bowl.std(), rel=0.15)
     assert found.zero_um == pytest.approx(bowl.mean(), abs=0.5)
-    assert found.zero_sigma_um == pytest.approx(SPREAD_FRACTION * found.spread_um)
+    assert found.zero_sigma_um == pytest.approx(ZERO_SIGMA_BY_SPREAD * found.spread_um)
 
 
 @pytest.mark.parametrize("kind", ["tilted", "rough"])

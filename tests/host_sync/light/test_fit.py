@@ -13,8 +13,9 @@ from near_lamps import SHAPE, NearLamps, balls, press_px
 
 from device.balls.sphere import Ball, gather_samples, pixels_inside, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
-from host_sync.light.bundle import Bundle, _Jacobian
+from host_sync.light.bundle import Bundle
 from host_sync.light.fit import FittedLight, fit_light
+from host_sync.light.kernel_derivatives import Jacobian
 from host_sync.light.model import LightModel
 
 HEIGHT_PX = 220.0
@@ -142,11 +143,11 @@ def test_a_fit_for_frames_of_another_size_describes_the_same_light() -> None:
 def test_normal_equations_are_those_of_the_whole_jacobian() -> None:
     rng = np.random.default_rng(3)
     count, channels, balls, own = 60, 3, 4, 5
-    ball = np.sort(rng.integers(balls, size=count))
+    ball = rng.integers(balls, size=count)
     shared, by_shift = rng.normal(size=(count, channels, 6)), rng.normal(size=(count, channels, 2))
     features, error = rng.normal(size=(count, own)), rng.normal(size=(count, channels))
     weight, rows = rng.uniform(0.5, 2.0, (count, channels)), ball % 2 == 1
-    system, gradient = _Jacobian(shared, by_shift, ball, balls, features, error, weight).normal_equations(rows)
+    system, gradient = Jacobian(shared, by_shift, ball, balls, features, error, weight).normal_equations(rows)
     of_balls = (ball[:, None, None, None] == np.arange(balls)[:, None]) * by_shift[:, :, None]
     of_channels = np.eye(channels)[None, :, :, None] * features[:, None, None]
     parts = (shared, of_balls.reshape(count, channels, -1), of_channels.reshape(count, channels, -1))

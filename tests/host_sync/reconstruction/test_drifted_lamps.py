@@ -23,14 +23,14 @@ BALL = replace(balls()[5][0], column=170.0, row=120.0)
 PRESSES = (1.0 + 0.015 * np.random.default_rng(4).standard_normal((len(balls()), 3))).astype(np.float32)
 """Brightness of each lamp in each press: they drift, too."""
 
+BALANCE = np.array([1.1, 0.95, 1.3], np.float32)
+BALANCES = (BALANCE ** np.linspace(-0.5, 1.0, len(balls()))[:, None]).astype(np.float32)
+"""Brightness of each lamp in a scan, and in each press, of a camera that balances white by itself."""
+
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     return calibrated(PRESSES)
-
-
-BALANCES = np.exp(0.1 * np.random.default_rng(7).standard_normal((len(balls()), 3))).astype(np.float32)
-"""The same of a camera that balances white by itself."""
 
 
 def calibrated(brightness: np.ndarray) -> Calibration:
@@ -80,10 +80,10 @@ def test_drift_of_presses_is_taken_out_and_noted(calibration: Calibration) -> No
 
 @pytest.mark.slow
 def test_white_balance_is_taken_out_where_presses_show_it(calibration: Calibration) -> None:
-    balance, unsteady = np.array([1.1, 0.95, 1.3], np.float32), calibrated(BALANCES)
+    unsteady = calibrated(BALANCES)
     steady_um = scan(calibration, np.ones(3)).height.z_um
-    balanced = scan(unsteady, balance)
+    balanced = scan(unsteady, BALANCE)
     assert drift_checks(balanced) == [pytest.approx(0.3, abs=0.01)]
     with pytest.raises(CalibrationMismatch, match=r"its lights differ from the calibration's by 30% \(at most 15%\)"):
-        scan(calibration, balance)
+        scan(calibration, BALANCE)
     assert np.abs(balanced.height.z_um - steady_um).mean() < 0.05 * steady_um.max()
