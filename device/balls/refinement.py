@@ -130,18 +130,20 @@ def join_centres(
     rows, columns = reduced.weight.shape
     margin = np.minimum(circles, np.array([columns, rows]) - 1.0 - circles).min(axis=1)
     whole = margin > radius_px if (margin > radius_px).any() else np.ones(len(circles), np.bool_)
-    doubt = _apex_doubt(reduced, circles[whole], radius_px)
+    apex_sigma = _sigma_of_apex(reduced, circles[whole], radius_px)
     way = apexes - circles
     common = np.median(way[whole], axis=0)
-    return np.asarray(circles + _trust(doubt, COMMON_SIGMA) * common + _trust(doubt, OWN_SIGMA) * (way - common))
+    return np.asarray(
+        circles + _trust(apex_sigma, COMMON_SIGMA) * common + _trust(apex_sigma, OWN_SIGMA) * (way - common)
+    )
 
 
-def _trust(doubt: float, limit: float) -> float:
-    """Return the weight of a reading that may be off by `doubt`: near 1 well under the limit, near 0 well above."""
-    return 1.0 / (1.0 + (doubt / limit) ** 8)
+def _trust(apex_sigma: float, limit: float) -> float:
+    """Return the weight of a reading of this standard uncertainty: near 1 well under the limit, near 0 well above."""
+    return 1.0 / (1.0 + (apex_sigma / limit) ** 8)
 
 
-def _apex_doubt(reduced: ReducedIntensity, circles: Float64Array, radius_px: float) -> float:
+def _sigma_of_apex(reduced: ReducedIntensity, circles: Float64Array, radius_px: float) -> float:
     """Return how far an apex may be off, share of the radius: unevenness of the frame's flat skin over the balls' ramp.
 
     Unevenness is a lower quartile of colour, averaged over patches: what is common to the channels is a light's drift.

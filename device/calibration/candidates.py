@@ -103,7 +103,7 @@ WAVY_GAIN: Final = 0.95
 """Share of the plain forms' held-out error that the wavy form must reach: it costs several times as much."""
 
 MIN_FOR_MANY_TERMS: Final = 8
-"""Balls from which a curve may have waves or read near lights' slopes: what few balls say of so much is chance."""
+"""Balls from which a curve may have waves or read near lights' slopes: so much is chance on few balls."""
 
 
 def fourier_form() -> RegressorForm:
@@ -120,7 +120,7 @@ class RegressorFit:
     reading : what makes its colours of intensity and place, None where it reads intensity itself
     penalty : of the ridge
     ridge : its features, less those of untouched skin where it is `flat`, at the pixels of balls
-    flat : whether it reads untouched skin as flat whatever the balls say; else it may miss it
+    flat : whether it reads untouched skin as flat by construction; else it may miss it
     skin : predicts the gentle slopes that it is anchored at; None of one that is not, or takes them as they are
     error_as_seen : held-out error at its penalty on pixels as they are seen, with their noise, in slope; NaN where it
         was not judged

@@ -186,7 +186,7 @@ def cover(
             task.add(None if verdict.level == "retake" else read_quick_look(store, scan_id))
             words, drawn = task.sentence(), task.map()
             if json:
-                placed = task.stand if isinstance(task.stand, InstrumentPose) else None
+                placed = task.pose if isinstance(task.pose, InstrumentPose) else None
                 said = {"scan": scan_id, "verdict": verdict, "stand": placed, "covered": task.share, "sentence": words}
                 print_json(said)
             else:

@@ -49,14 +49,14 @@ class CoverTask:
 
     width_mm, height_mm : of the area, above 0 and at most `MAX_AREA_MM`
 
-    `stand` is where the last press stood, or why that is unknown; `way` leads from the last press that was placed to
+    `pose` is where the last press stood, or why that is unknown; `way` leads from the last press that was placed to
     the next, mm to the right and down, None where nothing is missing.
     """
 
     def __init__(self, width_mm: float, height_mm: float) -> None:
         self._size_mm = width_mm, height_mm
         self._covering: Covering | None = None
-        self.stand: InstrumentPose | Unplaced | None = None
+        self.pose: InstrumentPose | Unplaced | None = None
         self.way: tuple[float, float] | None = None
         self._unplaced = 0
 
@@ -73,16 +73,16 @@ class CoverTask:
     def add(self, height: HeightMap | None) -> None:
         """Add a press by its quick look; None: it must be taken again."""
         if height is None:
-            self.stand = Unplaced("this press shows no relief")
+            self.pose = Unplaced("this press shows no relief")
             return
         if self._covering is None:
             self._covering = Covering(*self._size_mm, height)
-            self.stand = self._covering.stands[0]
+            self.pose = self._covering.poses[0]
         else:
-            self.stand = self._covering.add(height)
-        self._unplaced = self._unplaced + 1 if isinstance(self.stand, Unplaced) else 0
+            self.pose = self._covering.add(height)
+        self._unplaced = self._unplaced + 1 if isinstance(self.pose, Unplaced) else 0
         place = self._covering.next_place()
-        self.way = self._covering.stands[-1].way_to(place) if place else None
+        self.way = self._covering.poses[-1].way_to(place) if place else None
 
     @property
     def hand_way(self) -> tuple[float, float, float] | None:
@@ -96,13 +96,13 @@ class CoverTask:
         if self._unplaced:
             part = -(0.5**self._unplaced)
             return part * right, part * down, 0.0
-        return right, down, -self._covering.stands[-1].clockwise_deg
+        return right, down, -self._covering.poses[-1].clockwise_deg
 
     def map(self) -> CoverMap | None:
         """Return what is covered now; None before the first press."""
         if (covering := self._covering) is None:
             return None
-        last = covering.stands[-1]
+        last = covering.poses[-1]
         right, down = (
             (at + 0.5 * field) / area
             for at, field, area in zip((last.right_mm, last.down_mm), covering.field_mm, covering.area_mm, strict=True)
@@ -111,7 +111,7 @@ class CoverTask:
 
     def sentence(self) -> str:
         """Return what is covered, how far the last press overlaps those before it, and what to do, for people."""
-        if self.stand is None:
+        if self.pose is None:
             return FIRST_PRESS
         if self._covering is None:
             return "Press the upper left corner again."
@@ -119,12 +119,12 @@ class CoverTask:
         if self.way is None:
             return f"Covered: {area}."
         next_press = way_words(*self.way, LEAST_MM) or "nothing"
-        if isinstance(self.stand, Unplaced):
-            return f"Covered {area}. Place unknown: {self.stand.reason}. From the last known press move {next_press}."
-        turn_deg = self.stand.clockwise_deg
+        if isinstance(self.pose, Unplaced):
+            return f"Covered {area}. Place unknown: {self.pose.reason}. From the last known press move {next_press}."
+        turn_deg = self.pose.clockwise_deg
         turn = f", turn {abs(turn_deg):.0f}° {'anti' if turn_deg > 0.0 else ''}clockwise"
         straight = turn if abs(turn_deg) > 1.5 else ""
-        overlap = f", overlap {self.stand.overlap:.0%}" if len(self._covering.stands) > 1 else ""
+        overlap = f", overlap {self.pose.overlap:.0%}" if len(self._covering.poses) > 1 else ""
         return f"Covered {area}{overlap}. Move {next_press}{straight}."
 
 
@@ -148,7 +148,7 @@ SLIVER: Final = 0.01
 
 @dataclass(frozen=True, slots=True)
 class InstrumentPose:
-    """Place of the instrument during a press.
+    """Place and turn of the instrument during a press.
 
     right_mm, down_mm : its middle, from that of the first press, in the first press's directions
     clockwise_deg : its turn from the first press
@@ -161,7 +161,7 @@ class InstrumentPose:
     overlap: float
 
     def of_press(self, placed: Placement) -> InstrumentPose:
-        """Return where a press stood whose way to here is `placed`."""
+        """Return the pose of a press from which `placed` leads here."""
         turn_deg = self.clockwise_deg - placed.clockwise_deg
         right, down = (placed.right_mm, placed.down_mm) @ turning(np.radians(turn_deg))
         return InstrumentPose(float(self.right_mm - right), float(self.down_mm - down), turn_deg, placed.overlap)
@@ -192,7 +192,7 @@ class Covering:
         self._field_cells = float(np.prod(self.field_mm)) / CELL_MM**2
         self._worth = np.exp2(-2.0 * self._cells[..., 1] / self.field_mm[1])
         self.covered: MaskArray = np.zeros(self._cells.shape[:2], np.bool_)
-        self.stands: list[InstrumentPose] = []
+        self.poses: list[InstrumentPose] = []
         self._targets: list[Target] = []
         self._add(first, InstrumentPose(0.0, 0.0, 0.0, 1.0))
 
@@ -207,10 +207,10 @@ class Covering:
         Where another one turns out to share more with it, that one says where it stood.
         """
         found: InstrumentPose | Unplaced = Unplaced("no earlier press")
-        for number in reversed(range(len(self.stands))):
+        for number in reversed(range(len(self.poses))):
             found = self._placed(height, number)
             if isinstance(found, InstrumentPose):
-                shared = [self._overlap(np.array([found.right_mm, found.down_mm]), stand) for stand in self.stands]
+                shared = [self._overlap(np.array([found.right_mm, found.down_mm]), pose) for pose in self.poses]
                 nearest = int(np.argmax(shared))
                 again = found if nearest == number else self._placed(height, nearest)
                 return self._add(height, again if isinstance(again, InstrumentPose) else found)
@@ -229,11 +229,11 @@ class Covering:
         )
         middles = np.stack(np.meshgrid(*reaches), axis=-1)
         new = self._counted(middles, np.ones_like(self._worth))
-        last = self.stands[-1]
+        last = self.poses[-1]
         away = np.hypot(middles[..., 0] - last.right_mm, middles[..., 1] - last.down_mm)
         enough = np.zeros(new.shape, np.bool_)
-        for stand in self.stands:
-            enough |= self._overlap(middles, stand) >= WANTED_OVERLAP
+        for pose in self.poses:
+            enough |= self._overlap(middles, pose) >= WANTED_OVERLAP
         enough &= new >= SLIVER * self._field_cells
         worth = np.where(enough, self._counted(middles, self._worth) - 1e-3 * away, -np.inf)
         row, column = np.unravel_index(int(worth.argmax()), worth.shape)
@@ -244,15 +244,15 @@ class Covering:
 
     def _placed(self, height: HeightMap, number: int) -> InstrumentPose | Unplaced:
         found = self._targets[number].place(height)
-        return self.stands[number].of_press(found) if isinstance(found, Placement) else found
+        return self.poses[number].of_press(found) if isinstance(found, Placement) else found
 
-    def _add(self, height: HeightMap, stand: InstrumentPose) -> InstrumentPose:
+    def _add(self, height: HeightMap, pose: InstrumentPose) -> InstrumentPose:
         self._targets.append(Target(height))
-        self.stands.append(stand)
-        way = self._cells - (stand.right_mm, stand.down_mm)
-        offset = np.abs(way @ turning(-np.radians(stand.clockwise_deg)))
+        self.poses.append(pose)
+        way = self._cells - (pose.right_mm, pose.down_mm)
+        offset = np.abs(way @ turning(-np.radians(pose.clockwise_deg)))
         self.covered |= (offset[..., 0] <= 0.5 * self.field_mm[0]) & (offset[..., 1] <= 0.5 * self.field_mm[1])
-        return stand
+        return pose
 
     def _counted(self, middles: Float64Array, worth: Float64Array) -> Float64Array:
         """Return the worth of the cells that fields with these middles, (h, w, 2), would newly cover, summed."""
@@ -266,7 +266,7 @@ class Covering:
         )
         return np.asarray(missing[bottom, right] - missing[top, right] - missing[bottom, left] + missing[top, left])
 
-    def _overlap(self, middles: Float64Array, stand: InstrumentPose) -> Float64Array:
+    def _overlap(self, middles: Float64Array, pose: InstrumentPose) -> Float64Array:
         """Return fractions that fields with these middles, (..., 2), share with a press, turns left aside."""
-        apart = np.abs(middles - (stand.right_mm, stand.down_mm)) / self.field_mm
+        apart = np.abs(middles - (pose.right_mm, pose.down_mm)) / self.field_mm
         return np.asarray(np.clip(1.0 - apart, 0.0, None).prod(axis=-1))

@@ -213,7 +213,7 @@ class TransferBench:
         change = self._colour.change(place)
         weighed = np.linalg.solve(self._noise.covariance, change)
         gram = change.T @ weighed
-        if np.linalg.cond(gram) > SINGULAR:  # one light tells slopes in one direction only
+        if np.linalg.cond(gram) > SINGULAR:  # one light shows slopes in one direction only
             return np.asarray((np.linalg.pinv(gram, 1.0 / SINGULAR) @ weighed.T).T)
         return np.asarray(np.linalg.solve(gram, weighed.T).T)
 

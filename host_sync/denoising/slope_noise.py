@@ -61,7 +61,7 @@ def measure_slope_noise(
             both = _angles_deg(inverse_map, samples.select(some), drawn, null_colour, rng)
             bands.append((float(tilt[some].mean()), both[0], both[1]))
     tilts, raws, shrunks = zip(*(bands or [(0.0, 0.0, 0.0)]), strict=True)
-    # Of raw detail what demosaicing took is given back however loud its noise is, which is known and told.
+    # Of raw detail what demosaicing took is restored however large its noise is, which results state.
     raw_blur_px = DEMOSAIC_BLUR_PX if demosaiced else 0.0
     raw_kept, raw_px = _in_height_map(_slopes_of_flat_skin(inverse_map, raw, shrunk, null_colour), raw_blur_px)
     shrunk_slopes = _slopes_of_flat_skin(inverse_map, shrunk, shrunk, None)

@@ -8,9 +8,9 @@ the pitch's share here. What was not measured but is stated in the recipe is add
 pitch, one of the radius) and to lengths alike, from one random number, so that a quantity that depends on both sees it
 as it is.
 
-Surfaces unlike the balls: a calibration knows its errors on balls, and a ball shows shallow slopes at its apex only. On
-a raised flat face shallow slopes are read with another gain. That error is the same all over a press, no sample of the
-reconstruction holds it, and it is larger than all of them: it is added here as a share of the heights.
+Surfaces unlike the balls: a calibration measures its errors on balls, and a ball shows shallow slopes at its apex only.
+On a raised flat face shallow slopes are read with another gain. That error is the same all over a press, no sample of
+the reconstruction holds it, and it is larger than all of them: it is added here as a fraction of the heights.
 
 Fine noise: a cell of the samples covers several pixels. Slope uncertainty beyond the slopes of the samples is noise
 from pixel to pixel; integration turns it into heights that are correlated over a few pixels only. One periodic tile of

@@ -57,7 +57,7 @@ NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: 
 BEYOND: Final = "reaches beyond the field: only the part inside is measured"
 
 NOISE_BIAS_SIGMA: Final = 0.2
-"""Share of what noise has raised a number by that is not sure: a tenth of the noise."""
+"""Standard uncertainty of what noise adds to a number, relative to it."""
 
 ROUNDING: Final = 1e-6
 """A spread of so small a share of a number is that of float32."""

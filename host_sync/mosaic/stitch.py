@@ -148,7 +148,7 @@ def _plan(presses: list[Press], small: list[Small], layout: Layout | None, repor
             between = known[link.first].then(known[link.second].back())
             meetings[number] = _renumbered(meeting(small, link.first, link.second, between), order)
     levels = levelled(list(meetings.values()), len(known), reach_px)
-    unsure = frozenset(number for number in known if not small[number].has_sigma)
+    without_sigma = frozenset(number for number in known if not small[number].has_sigma)
     return Plan(
         [link for link in links if link.refused],
         good,
@@ -156,7 +156,7 @@ def _plan(presses: list[Press], small: list[Small], layout: Layout | None, repor
         known,
         meetings,
         levels,
-        unsure,
+        without_sigma,
         _doubted(period_px, layout),
     )
 

@@ -1,4 +1,4 @@
-"""Uncertainty of a frame's heights: of what its calibration does not know, of shadows, of noise, of its zero."""
+"""Uncertainty of a frame's heights: of its calibration, of shadows, of noise, of its zero."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _calibration_uncertainty(reading: SlopeReading, size: tuple[int, int]) -> Ca
 
 
 def slope_error_of(calibration: Calibration, method: Method) -> SlopeError:
-    """Return the slope error of a method: the default's as measured, the paper's larger as its held-out balls say."""
+    """Return the slope error of a method: the default's as measured, the paper's larger by its held-out balls."""
     held_out = calibration.held_out_deg
     if method == "direct" or not held_out["paper"] > held_out["direct"]:
         return calibration.slope_error

@@ -121,9 +121,9 @@ def slope_sigma(
     pixel, patch = (np.radians(part_deg)[::-1] for part_deg in (error.pixel_deg, error.patch_deg))
     parts = piecewise_linear(cosine, noise_kept * pixel), piecewise_linear(cosine, patch)
     weight = np.maximum(gradients.weight, np.float32(MIN_WEIGHT))
-    # Both look at the same error, from the training balls and from what this surface betrays: the larger one counts.
-    unsure = np.zeros_like(nonintegrable) if calibration_sigma is None else calibration_sigma
-    return sigma_by_tilt((p, q), parts, weight, gradients.valid, nonintegrable, unsure)
+    # Two estimates of one error, by the training balls and by this surface's residual: the larger one counts.
+    calibration = np.zeros_like(nonintegrable) if calibration_sigma is None else calibration_sigma
+    return sigma_by_tilt((p, q), parts, weight, gradients.valid, nonintegrable, calibration)
 
 
 def height_uncertainty(

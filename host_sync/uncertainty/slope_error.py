@@ -102,9 +102,9 @@ def measure_slope_error(
 ) -> SlopeError:
     """Return the slope error on the balls of a calibration, whose samples are `training`.
 
-    What the map gets wrong of its training balls is scaled up to what it gets wrong of held-out ones, unless the
-    fit's replicas say at every pixel how much more that is. What corrects slopes over cells is judged by balls that it
-    was not fitted to; gains are those of all balls, for what these do not show of a gain its folds show in every frame.
+    The map's error on its training balls is scaled up to that on held-out ones, unless the fit's replicas give the
+    difference at every pixel. The correction of slopes over cells is judged by balls that it was not fitted to. Gains
+    are those of all balls: what they leave open is estimated from the folds in every frame.
 
     over_cells : what corrects the map's slopes over cells; None where nothing does
     """

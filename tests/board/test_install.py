@@ -116,7 +116,7 @@ def test_the_screen_takes_the_place_of_the_headless_unit_and_gives_it_back(fresh
         assert wanted() == {unit}
 
 
-def test_a_card_without_ssh_is_told_of(fresh: Path, run: Run) -> None:
+def test_a_card_without_ssh_is_reported(fresh: Path, run: Run) -> None:
     """Raspberry Pi OS switches it on only when asked, and scans are fetched through it."""
     off = "SSH is switched off"
     assert off in run("board/install.sh", "--root", fresh, *BOARD).stdout

@@ -57,7 +57,7 @@ NUMPY = "hal.errors.DriverMissing: picamera2 is installed and cannot be imported
 
 
 @pytest.mark.parametrize(("board", "works"), [("pi5-imx296", True), ("pi5-imx296", False), ("twin", False)])
-def test_a_camera_that_cannot_be_loaded_is_told_at_once(
+def test_a_camera_that_cannot_be_loaded_is_reported_at_once(
     fresh: Path, install: Callable[[str], subprocess.CompletedProcess[str]], board: str, works: bool
 ) -> None:
     """Where there is one: the twin's needs no library of the system."""

@@ -77,7 +77,7 @@ def test_no_result_is_called_as_a_device_of_windows(name: str, tmp_path: Path) -
         load_frame_set(tmp_path / "set.toml", calibrates=False)
 
 
-def test_long_paths_of_windows_are_told_as_such() -> None:
+def test_long_paths_of_windows_are_named_as_such() -> None:
     deep = "\\".join(["folder"] * 30)
     assert long_path(rf"D:\scans\{deep}") == rf"\\?\D:\scans\{deep}"
     assert long_path(f"D:/scans/{deep.replace(chr(92), '/')}") == rf"\\?\D:\scans\{deep}"

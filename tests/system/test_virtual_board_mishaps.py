@@ -68,7 +68,7 @@ def test_lights_are_dark_however_the_program_ends(board: Board) -> None:
     board.start_service()
 
 
-def test_a_part_that_goes_and_comes_back_is_told_in_the_status(board: Board) -> None:
+def test_a_part_that_goes_and_comes_back_is_reported_in_the_status(board: Board) -> None:
     """The instrument becomes ready all the same, for its screen and its scans; an update that starts so is undone."""
     board.machine.run("systemctl stop retroscan; " + replug(0x20))
     with board.stage("start without a light driver"):

@@ -22,7 +22,7 @@ with instrument_lock(Path(sys.argv[1])):
 """
 
 
-def test_a_second_one_is_refused_and_told_who_has_it(tmp_path: Path) -> None:
+def test_a_second_one_is_refused_and_learns_who_has_it(tmp_path: Path) -> None:
     lock = tmp_path / "instrument.lock"
     command = [sys.executable, "-c", HOLD, str(lock)]
     with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as owner:

@@ -17,7 +17,7 @@ def test_agrees_with_itself_and_with_what_the_camera_rounds(fingerprint: Fingerp
     assert fingerprint.mismatch(rounded) is None
 
 
-def test_every_difference_is_told_with_both_values(fingerprint: Fingerprint) -> None:
+def test_every_difference_is_reported_with_both_values(fingerprint: Fingerprint) -> None:
     other = msgspec.structs.replace(fingerprint, channel_order="BGGR", exposure_us=4000.0, analogue_gain=2.0)
     sentence = fingerprint.mismatch(other)
     assert sentence is not None
@@ -33,7 +33,7 @@ def test_every_difference_is_told_with_both_values(fingerprint: Fingerprint) -> 
         ({"name": "crimson"}, "lights (red R, not crimson R)"),
     ],
 )
-def test_a_changed_light_is_told(fingerprint: Fingerprint, change: dict[str, object], part: str) -> None:
+def test_a_changed_light_is_reported(fingerprint: Fingerprint, change: dict[str, object], part: str) -> None:
     sentence = fingerprint.mismatch(changed_light(fingerprint, **change))
     assert sentence is not None
     assert part in sentence

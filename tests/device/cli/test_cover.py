@@ -55,10 +55,10 @@ def test_an_area_is_covered_on_the_twin(calibrated_root: Path, tmp_path: Path, s
                 break
             at = at + np.array(task.way) + random.normal(0.0, 0.3, 2)
             task.add(touched((float(at[0]), float(at[1]))))
-            stand = task.stand
-            assert isinstance(stand, InstrumentPose)
-            assert (stand.right_mm, stand.down_mm) == pytest.approx(tuple(at - start), abs=0.5)
-            assert stand.overlap > 0.25
+            pose = task.pose
+            assert isinstance(pose, InstrumentPose)
+            assert (pose.right_mm, pose.down_mm) == pytest.approx(tuple(at - start), abs=0.5)
+            assert pose.overlap > 0.25
         assert task.share > 0.97
         assert task.is_done
         assert set("".join(task.map().lines(60))) <= set("#·o")

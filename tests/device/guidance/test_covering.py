@@ -21,7 +21,7 @@ def walked(seed: int, miss_mm: float, turn_deg: float) -> tuple[Covering, list[f
     start = at.copy()
     covering = Covering(*AREA_MM, relief.touch((float(at[0]), float(at[1])), 0.0, 100 * seed))
     while (place := covering.next_place()) is not None and presses < 30:
-        way = covering.stands[-1].way_to(place)
+        way = covering.poses[-1].way_to(place)
         cosine, sine = np.cos(np.radians(turn)), np.sin(np.radians(turn))
         step = np.array([cosine * way[0] - sine * way[1], sine * way[0] + cosine * way[1]])
         at = at + step + random.normal(0.0, miss_mm, 2)
@@ -30,7 +30,7 @@ def walked(seed: int, miss_mm: float, turn_deg: float) -> tuple[Covering, list[f
         presses += 1
         if isinstance(found, Unplaced):
             # The hand goes back to where it was known to be.
-            last = covering.stands[-1]
+            last = covering.poses[-1]
             at, turn = start + np.array([last.right_mm, last.down_mm]), last.clockwise_deg
             continue
         off.append(float(np.hypot(*(at - start - (found.right_mm, found.down_mm)))))
@@ -40,7 +40,7 @@ def walked(seed: int, miss_mm: float, turn_deg: float) -> tuple[Covering, list[f
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_area_is_covered_by_presses_that_overlap(seed: int) -> None:
     covering, off, presses = walked(seed, 0.7, 2.0)
-    overlaps = [stand.overlap for stand in covering.stands[1:]]
+    overlaps = [pose.overlap for pose in covering.poses[1:]]
     sys.stdout.write(f"{presses} presses, {covering.share:.3f} covered, overlap {min(overlaps):.2f} at least, ")
     sys.stdout.write(f"{max(off):.2f} mm off at most\n")
     assert covering.share > 0.98
@@ -54,7 +54,7 @@ def test_a_press_of_another_object_covers_nothing() -> None:
     before = covering.share
     assert isinstance(covering.add(Relief(77).touch((3.0, 0.0), 0.0, 2)), Unplaced)
     assert covering.share == before
-    assert len(covering.stands) == 1
+    assert len(covering.poses) == 1
 
 
 def test_an_area_within_the_field_is_covered_by_the_first_press() -> None:

@@ -45,7 +45,7 @@ def hand(hardware: Hardware, calibrated: BundleStore, bench: SimulatedScene) -> 
         yield Hand(hardware, bench, Scanner(hardware, calibrated))
 
 
-def test_air_is_told_from_contact_and_depth_is_measured(hand: Hand) -> None:
+def test_air_is_distinguished_from_contact_and_depth_is_measured(hand: Hand) -> None:
     air = hand.look(2)
     assert air.in_air
     assert air.advice == "press"
@@ -61,7 +61,7 @@ def test_a_press_near_the_slabs_limit_is_too_deep(hand: Hand) -> None:
     assert hand.press(Sphere(3.0), 1.45).advice == "too deep"
 
 
-def test_a_tilted_face_is_told_with_the_side_that_is_deeper(hand: Hand) -> None:
+def test_a_tilted_face_is_reported_with_the_side_that_is_deeper(hand: Hand) -> None:
     tilted = hand.press(Plane(Block(3.0, 3.0), 0.14, 0.0), 0.8)
     assert tilted.tilt_deg == pytest.approx(8.0, abs=2.0)
     assert tilted.tilt_towards == "right"

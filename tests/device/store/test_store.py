@@ -113,7 +113,7 @@ def test_a_full_disk_at_any_step_leaves_nothing(
     publish_scan(store).verify()
 
 
-def test_a_read_only_disk_is_told_and_what_is_there_can_be_read(
+def test_a_read_only_disk_is_reported_and_what_is_there_can_be_read(
     store: BundleStore, publish_scan: PublishScan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle = publish_scan(store)
@@ -341,7 +341,7 @@ def test_a_damaged_device_file_is_named(store: BundleStore) -> None:
         BundleStore(store.root, VirtualClock())
 
 
-def test_a_store_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+def test_a_store_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match="cannot be prepared"):
         BundleStore(tmp_path / "file", VirtualClock())

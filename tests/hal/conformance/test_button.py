@@ -22,7 +22,7 @@ def test_a_request_is_answered_by_one_press(driver: Hardware) -> None:
         assert driver.button.wait_for_press(1.0) is None
 
 
-def test_a_push_is_told_while_the_button_is_down_and_within_a_tenth_of_a_second(driver: Hardware) -> None:
+def test_a_push_is_reported_while_the_button_is_down_and_within_a_tenth_of_a_second(driver: Hardware) -> None:
     with driver:
         driver.operator.ask(LiftOff())
         began_ns = driver.button.wait_for_push(None)
@@ -35,7 +35,7 @@ def test_a_push_is_told_while_the_button_is_down_and_within_a_tenth_of_a_second(
         assert driver.button.wait_for_push(1.0) is None
 
 
-def test_a_push_that_was_told_is_no_push_while_busy(driver: Hardware) -> None:
+def test_a_push_that_was_reported_is_no_push_while_busy(driver: Hardware) -> None:
     with driver:
         driver.operator.ask(LiftOff())
         assert driver.button.wait_for_push(0.01) is None

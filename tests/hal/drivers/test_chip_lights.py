@@ -117,7 +117,7 @@ def test_a_shorted_led_is_dark(emulated: EmulatedBoard) -> None:
         assert set(emulated.bench.currents_ma) == {"red", "blue"}
 
 
-def test_tlc59116_tells_faults_only_of_outputs_without_pwm_and_a_0_is_a_fault(bench: SimulatedScene) -> None:
+def test_tlc59116_shows_faults_only_of_outputs_without_pwm_and_a_0_is_a_fault(bench: SimulatedScene) -> None:
     emulated = emulated_hardware(bench, "TLC59116")
     emulated.leds.open_channels.add(5)
     with emulated.hardware.lights as lights:

@@ -97,7 +97,7 @@ def test_a_press_whose_edges_were_all_lost_is_one_once_its_level_has_settled_lev
     assert debouncer.next_press() == ButtonPress(100 * MS, 0.2)
 
 
-def test_a_push_is_told_while_it_is_held_and_once() -> None:
+def test_a_push_is_reported_while_it_is_held_and_once() -> None:
     debouncer = Debouncer(down=False)
     bounce(debouncer, 100 * MS, True)
     debouncer.settle(120 * MS, True)

@@ -196,7 +196,7 @@ def test_a_frame_of_the_wrong_size_is_refused_and_its_buffer_given_back(emulated
         hardware.camera.next_frame(0.5)
 
 
-def test_what_picamera2_raises_on_a_buffer_is_told_and_the_buffer_given_back(emulated: EmulatedBoard) -> None:
+def test_what_picamera2_raises_on_a_buffer_is_reported_and_the_buffer_given_back(emulated: EmulatedBoard) -> None:
     emulated.cameras.faults.unmappable = True
     with emulated.hardware as hardware:
         for take in (hardware.camera.next_frame, hardware.camera.aiming_view):
@@ -264,7 +264,7 @@ def test_a_control_that_the_camera_does_not_know_is_refused(emulated: EmulatedBo
         camera.__enter__()
 
 
-def test_a_camera_manager_that_fails_is_told(emulated: EmulatedBoard) -> None:
+def test_a_camera_manager_that_fails_is_reported(emulated: EmulatedBoard) -> None:
     emulated.cameras.faults.unlisted = True
     with (
         pytest.raises(CameraError, match=r"libcamera cannot list the cameras \(failed to start.*ribbon"),
@@ -319,7 +319,7 @@ def test_a_picamera2_that_does_not_fit_its_surroundings_is_reported(
     assert str(failure) in str(reported.value)
 
 
-def test_without_picamera2_its_installation_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_picamera2_its_installation_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "picamera2", None)  # as if it were not installed
     with pytest.raises(DriverMissing, match="apt install python3-picamera2 --no-install-recommends"):
         load_picamera2()

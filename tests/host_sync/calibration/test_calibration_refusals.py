@@ -141,7 +141,9 @@ def test_a_reference_of_another_gel_is_refused(usual: SimulatedScene, small_twin
 
 
 @pytest.mark.parametrize("with_reference", [True, False])
-def test_two_sets_of_lights_are_told_apart(usual: SimulatedScene, turned: SimulatedScene, with_reference: bool) -> None:
+def test_two_sets_of_lights_are_distinguished(
+    usual: SimulatedScene, turned: SimulatedScene, with_reference: bool
+) -> None:
     mixed = [*usual.balls[:4], *turned.balls[4:]]
     with pytest.raises(CalibrationMismatch, match=r"mixed: untouched skin of press-04, press-05 is \d\d% off"):
         calibrate(presses(mixed), usual.rest if with_reference else None, PITCH_UM)

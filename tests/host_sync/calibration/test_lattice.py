@@ -54,7 +54,7 @@ def test_axes_follow_the_frame() -> None:
     assert lattice.step_px(np.zeros(2)) == pytest.approx(STEP_PX)
 
 
-def test_a_ball_off_the_lattice_is_told_and_its_empty_place_too() -> None:
+def test_a_ball_off_the_lattice_is_reported_and_its_empty_place_too() -> None:
     points = seen(0.2)
     points[20] += [0.35 * STEP_PX, 0.0]
     lattice = find_lattice(points)

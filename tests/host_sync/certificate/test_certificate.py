@@ -122,7 +122,7 @@ def test_amplification_and_linearity_are_those_that_were_put_in() -> None:
     assert "period" in found["α_x"].basis
 
 
-def test_one_height_tells_no_linearity() -> None:
+def test_one_height_shows_no_linearity() -> None:
     found = symbols(checked(specimen("step", 100.0), step(100.0)))
     assert found["l_z"].value is None
     assert "two heights" in found["l_z"].basis
@@ -173,7 +173,7 @@ def test_the_width_of_an_edge_is_its_flanks() -> None:
     assert found["W_R"].value == pytest.approx(0.8 * 400.0, rel=0.1)
 
 
-def test_a_period_tells_the_lateral_scale() -> None:
+def test_a_period_shows_the_lateral_scale() -> None:
     x = np.arange(SHAPE[1]) * PITCH_UM
     wave = np.tile(5.0 * np.sin(2.0 * np.pi * x / 303.0), (SHAPE[0], 1))
     file = specimen("period", 300.0, 0.5, axis="x", measure=MeasureTable(**LINE, pixel_pitch_share=0.01))

@@ -95,7 +95,7 @@ def test_status_without_devices_says_what_to_do(capsys: pytest.CaptureFixture[st
         (7200.0, "its clock was 2 hours ahead"),
     ],
 )
-def test_the_devices_clock_is_told_in_words(
+def test_the_devices_clock_is_reported_in_words(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], offset_s: float | None, words: str
 ) -> None:
     devices = PairedDevices(tmp_path / "config" / "retrograph")

@@ -43,7 +43,7 @@ def test_of_a_mosaic_what_interpolation_took_is_given_back_too() -> None:
     assert (of_colours.blur_px, of_colours.raw_blur_px) == (BLUR_PX, 0.0)
 
 
-def test_the_noise_that_this_adds_is_told() -> None:
+def test_the_noise_that_this_adds_is_stated() -> None:
     of_mosaic, of_colours = (measured(0.002, demosaiced=demosaiced) for demosaiced in (True, False))
     assert of_mosaic.raw_kept > 1.05 * of_colours.raw_kept
     assert of_mosaic.shrunk_kept > 1.05 * of_colours.shrunk_kept

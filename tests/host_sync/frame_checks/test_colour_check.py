@@ -48,7 +48,7 @@ def test_an_honest_frame_raises_no_warning() -> None:
     ("rows", "columns", "name"),
     [(-1, -1, "turned by 180"), (1, -1, "mirrored left to right"), (-1, 1, "mirrored top to bottom")],
 )
-def test_a_turned_frame_is_told_by_the_way_its_light_lies(rows: int, columns: int, name: str) -> None:
+def test_a_turned_frame_is_found_by_the_way_its_light_lies(rows: int, columns: int, name: str) -> None:
     light = (pressed() * reference())[::rows, ::columns]
     warnings = check_frame(image_of(light / reference()), reference(), inverse())
     assert name in warnings[0]

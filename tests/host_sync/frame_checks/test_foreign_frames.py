@@ -109,7 +109,7 @@ def test_a_foreign_frame_is_refused_for_the_right_reason(device: Device, name: s
     assert words in refused
 
 
-def test_another_copy_of_the_same_device_is_told_by_its_coat(device: Device, other: Device) -> None:
+def test_another_copy_of_the_same_device_is_found_by_its_coat(device: Device, other: Device) -> None:
     (refused,) = refusals(device.check(other.scans["coin"].rgb))
     assert "pattern of the reference's skin is missing" in refused
 
@@ -121,7 +121,7 @@ def test_every_refusal_has_its_figure_and_limit(device: Device) -> None:
         assert refused.value is not None or "mirrored" in refused.words or "turned" in refused.words
 
 
-def test_a_field_without_untouched_skin_still_tells_its_lamps(device: Device) -> None:
+def test_a_field_without_untouched_skin_still_shows_its_lamps(device: Device) -> None:
     """Sandpaper that covers the field and beyond: slopes everywhere, on the average none."""
     random = np.random.default_rng(3)
     shape = device.reference.shape
@@ -146,12 +146,12 @@ def test_an_even_coat_is_not_said_to_be_checked(small_twin: BoardProfile) -> Non
     assert refusals(device.check(0.9 * device.scans["coin"].rgb))
 
 
-def test_a_quarter_turn_is_told_by_the_frames_size(device: Device) -> None:
+def test_a_quarter_turn_is_found_by_the_frames_size(device: Device) -> None:
     with pytest.raises(CalibrationMismatch, match="turned by 90 degrees"):
         device.check(np.rot90(device.scans["coin"].rgb))
 
 
-def test_quarter_turns_of_a_square_field_are_told_by_the_pattern() -> None:
+def test_quarter_turns_of_a_square_field_are_found_by_the_pattern() -> None:
     random = np.random.default_rng(5)
     coat = 1.0 + 0.02 * random.standard_normal((256, 256, 1))
     reference, press, scan = (

@@ -78,13 +78,13 @@ def test_holes_and_the_zero_of_the_map_do_not_matter(off_px: float) -> None:
 
 
 @pytest.mark.parametrize("shape", [(4, 960), (960, 4), (8, 8), (3, 3)])
-def test_a_field_of_a_few_rows_tells_nothing(shape: tuple[int, int]) -> None:
+def test_a_field_of_a_few_rows_shows_nothing(shape: tuple[int, int]) -> None:
     flat, everywhere = np.zeros(shape, np.float32), np.ones(shape, np.bool_)
     gradients = GradientField(flat, flat, everywhere, np.ones(shape, np.float32))
     assert not is_relief(HeightMap(flat, 1.0), gradients, everywhere)
 
 
-def test_too_little_skin_tells_nothing() -> None:
+def test_too_little_skin_shows_nothing() -> None:
     few = np.zeros(SHAPE, np.bool_)
     few[:9, :9] = True
     assert not is_relief(*field(texture(0.03)), few)

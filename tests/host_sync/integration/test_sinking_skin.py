@@ -33,7 +33,7 @@ def left_um(zero_um: float, noise: float = 0.0) -> float:
     return height_left_um(height, gradients, resting, zero_um)
 
 
-def test_the_bend_of_free_skin_tells_how_far_it_sinks_yet() -> None:
+def test_the_bend_of_free_skin_shows_how_far_it_sinks_yet() -> None:
     lowest = TOP_UM * np.exp(-(0.5 * (SHAPE[1] - 1) - 30.0) / LENGTH_PX)
     assert 10.0 < lowest < MAX_LEFT * TOP_UM
     assert left_um(float(lowest)) == pytest.approx(lowest, rel=0.1)
@@ -46,7 +46,7 @@ def test_no_more_is_taken_off_than_a_share_of_the_height_and_nothing_below_rest(
     assert left_um(-30.0) == 0.0
 
 
-def test_skin_that_bends_as_no_free_skin_does_tells_nothing() -> None:
+def test_skin_that_bends_as_no_free_skin_does_shows_nothing() -> None:
     random = np.random.default_rng(1)
     z_um = 50.0 * random.standard_normal(SHAPE)
     q, p = np.gradient(z_um / PITCH_UM)
@@ -78,7 +78,7 @@ def test_bends_that_follow_heights_loosely_show_nothing(correlation: float) -> N
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 320), (3, 320), (320, 1), (7, 800)])
-def test_a_field_of_few_cells_tells_nothing(shape: tuple[int, int]) -> None:
+def test_a_field_of_few_cells_shows_nothing(shape: tuple[int, int]) -> None:
     flat, everywhere = np.zeros(shape, np.float32), np.ones(shape, bool)
     gradients = GradientField(flat, flat, everywhere, np.ones(shape, np.float32))
     assert height_left_um(HeightMap(flat, PITCH_UM), gradients, everywhere, 1.0) == 0.0

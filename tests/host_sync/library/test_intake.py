@@ -89,7 +89,7 @@ def test_every_single_loss_and_change_is_noticed(library: Library, tmp_path: Pat
     assert verify_library(reopened(library)).complete
 
 
-def test_loss_change_and_strangers_are_told_apart(library: Library, card: DirectorySource) -> None:
+def test_loss_change_and_strangers_are_distinguished(library: Library, card: DirectorySource) -> None:
     first, second, third, fourth = scans(library)
     shutil.rmtree(first.directory)
     second.path("raw.tif").chmod(0o644)

@@ -75,7 +75,7 @@ def test_results_stand_beside_the_scan_and_disturb_nothing(
         library.result_folder(scan, "0.1.0", "../../up")
 
 
-def test_an_absent_library_is_told(tmp_path: Path) -> None:
+def test_an_absent_library_is_reported(tmp_path: Path) -> None:
     with pytest.raises(LibraryError, match="there is no library"):
         Library(tmp_path / "absent").scans()
 

@@ -79,7 +79,7 @@ def test_a_surface_without_pixels_has_no_parameters() -> None:
     assert np.isnan(decay(Autocorrelation(np.isfinite(empty)).of(empty)).shortest_px)
 
 
-def test_a_sinusoid_falls_along_its_waves_only_and_its_direction_is_told() -> None:
+def test_a_sinusoid_falls_along_its_waves_only_and_its_direction_is_stated() -> None:
     period = 40.0
     for angle_deg in (0.0, 30.0, -60.0):
         z_um = wave(period, 300, np.radians(angle_deg))

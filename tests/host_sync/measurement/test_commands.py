@@ -284,7 +284,7 @@ def test_the_pdf_says_what_the_page_says(write_result: Write, wave: np.ndarray, 
         assert wanted in text
 
 
-def test_checks_of_a_calibration_are_told_to_four_digits() -> None:
+def test_checks_of_a_calibration_are_stated_to_four_digits() -> None:
     check = {"name": "held-out error, degrees", "value": 1.6883128948182646, "limit": 5.0, "kind": "at most"}
     told = composing.check_lines({"checks": [check | {"passed": True}, check | {"value": "?", "passed": None}, 7]})
     assert [words for _, words in told] == ["1.688 (at most 5): passed", "? (at most 5): NOT passed"]

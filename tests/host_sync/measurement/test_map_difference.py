@@ -23,7 +23,7 @@ def test_a_tilt_and_an_offset_are_no_difference() -> None:
     assert found.compared == 1.0
 
 
-def test_what_differs_is_told_in_percent_of_the_depth() -> None:
+def test_what_differs_is_reported_in_percent_of_the_depth() -> None:
     wave = 2.0 * np.sin(2.0 * np.pi * ROW / 6.0).astype(np.float32)
     one = GROOVE + wave
     one[:6] = np.nan

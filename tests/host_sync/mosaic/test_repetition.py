@@ -35,7 +35,7 @@ def layout(truth: list[Pose], within_px: float) -> Layout:
     return Layout(np.array([[at.down, at.right] for at in truth]), within_px)
 
 
-def test_a_ruler_needs_to_be_told_where_its_presses_are() -> None:
+def test_a_ruler_needs_to_be_given_where_its_presses_are() -> None:
     presses, _ = ruler()
     with pytest.raises(MosaicError, match=r"the relief repeats every [0-9.]+ mm"):
         planned(presses)

@@ -290,7 +290,7 @@ def test_a_window_that_is_closed_lets_nobody_in(
     assert not (tmp_path / "keys").exists()
 
 
-def test_a_key_that_cannot_be_stored_is_told_on_the_screen(
+def test_a_key_that_cannot_be_stored_is_reported_on_the_screen(
     devices: PairedDevices, device_card: DeviceCard, tmp_path: Path
 ) -> None:
     (tmp_path / "keys").mkdir()

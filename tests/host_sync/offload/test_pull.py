@@ -283,7 +283,7 @@ def test_what_the_library_has_is_not_fetched_again_and_not_linked(
     library.find(third.scan_id).verify()
 
 
-def test_a_scan_without_its_calibration_is_told(
+def test_a_scan_without_its_calibration_is_reported(
     store: BundleStore, library: Library, scans: list[ScanBundle], calibration: CalibrationBundle
 ) -> None:
     shutil.rmtree(calibration.directory)

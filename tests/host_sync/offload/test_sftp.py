@@ -300,7 +300,7 @@ def test_a_device_set_up_anew_is_explained_and_never_waved_through(server: Any, 
         pull_over(server, library)
 
 
-def test_nobody_there_is_told(server: Any, library: Library) -> None:
+def test_nobody_there_is_reported(server: Any, library: Library) -> None:
     server.kill()
     hasty = Timeouts(give_up_s=0.2, retry_s=0.01)
     with pytest.raises(SourceLost, match=r"cannot be reached at 127\.0\.0\.1"):

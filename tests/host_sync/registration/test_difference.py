@@ -79,7 +79,7 @@ def test_what_is_not_turned_says_what_found_its_shift() -> None:
     assert found.pose.turn == 0.0
 
 
-def test_rivals_are_told_apart_in_words() -> None:
+def test_rivals_are_distinguished_in_words() -> None:
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     waves = 5.0 * np.sin(row / 6.0) * np.sin(column / 6.0)
     rng = np.random.default_rng(3)

@@ -27,7 +27,7 @@ def truth() -> tuple[np.ndarray, np.ndarray]:
     return np.stack(sphere_slopes(BALL, column, row)).astype(np.float64), inside
 
 
-def test_a_share_by_which_all_slopes_are_off_is_told_by_every_band() -> None:
+def test_a_share_by_which_all_slopes_are_off_is_found_by_every_band() -> None:
     slope, inside = truth()
     gain, variance = gains_of_ball(-0.03 * slope, slope, inside, BANDS)
     np.testing.assert_allclose(gain, -0.03)
@@ -59,7 +59,7 @@ def test_noise_is_not_believed_and_what_balls_agree_on_is() -> None:
     np.testing.assert_allclose(np.sqrt((np.array(believed_gains(sure)) ** 2).mean(axis=0)), 0.05, rtol=0.15)
 
 
-def test_a_ball_that_shows_nothing_tells_nothing() -> None:
+def test_a_ball_that_shows_nothing_shows_nothing() -> None:
     slope, inside = truth()
     nothing = gains_of_ball(slope, slope, np.zeros_like(inside), BANDS)
     assert np.isnan(nothing[0]).all()

@@ -414,7 +414,7 @@ def test_numbers_pictures_and_links_are_taken_along(served: Any, visit: Callable
     assert page.locator(".item .value").first.is_visible()
 
 
-def test_scans_of_one_name_are_told_apart(
+def test_scans_of_one_name_are_distinguished(
     serve: Callable[..., Any], world: Any, visit: Callable[..., Any], tmp_path: Path
 ) -> None:
     for day in ("monday", "tuesday"):

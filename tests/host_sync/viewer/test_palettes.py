@@ -7,7 +7,7 @@ LIGHTNESS = np.array([0.2126, 0.7152, 0.0722])
 
 
 @pytest.mark.parametrize("name", [name for name in palettes() if name != "difference"])
-def test_lightness_alone_tells_high_from_low(name: str) -> None:
+def test_lightness_alone_shows_high_from_low(name: str) -> None:
     steps = np.array(palettes()[name]) @ LIGHTNESS
     assert (np.diff(steps) > -1.5).all()
     assert (np.diff(steps[::8]) > 0.0).all()
