@@ -22,7 +22,7 @@ from device.imaging.flat_field import demosaic
 from host_sync.calibration.calibrate import Calibration
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.kernels.process_settings import kept_memory
-from host_sync.reconstruction import pipeline as stages
+from host_sync.reconstruction import pipeline, reading_uncertainty
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from host_sync.reconstruction.result_writer import write_result
 from host_sync.uncertainty.height_error import HeightUncertainty
@@ -39,26 +39,26 @@ STAGES = {
     "read the raw file": ("raw_frame.read_raw",),
     "intensity": ("flat_field_kernel.raw_intensity",),
     "frame checks": (
-        "intensity_checks.check_exposure",
+        "flat_field_kernel.check_exposure",
         "frame_model.check",
         "colour_check.check_frame",
         "colour_check.check_datum",
     ),
     "shrinkage": ("bounded_shrinkage.shrunk",),
-    "slopes": ("slope_reading.uncorrected", "elevation_correction.correct_elevation"),
-    "lamps": ("lamp_reading.read_under_lamps",),
-    "raw detail": ("raw_detail.with_raw_detail",),
+    "slopes": ("slope_reading.uncorrected",),
+    "light model": ("reading.correct_slopes",),
+    "raw detail": ("heights.with_raw_detail",),
     "integration": ("integrate.integrate",),
-    "level": ("zero_level.find_datum", "zero_level.level", "zero_level.at_rest"),
-    "slopes of the surface": ("surface_slope_kernel.surface_slopes",),
+    "level": ("zero_level.find_datum", "zero_level.level"),
+    "slopes of the surface": ("integrate.surface_slopes",),
     "sigma map": (
         "height_error.nonintegrable_residual",
         "calibration_uncertainty.calibration_uncertainty",
         "height_error.height_uncertainty",
-        "slope_draws.slope_draws",
+        "height_error.height_draws",
     ),
     "sigma of slopes": ("height_error.slope_sigma",),
-    "extrapolation": ("extrapolation.extrapolated", "extrapolation.out_of_domain_blocks"),
+    "extrapolation": ("confidence.extrapolated", "confidence.out_of_domain_blocks"),
     "results on disk": ("result_writer.write_result",),
 }
 """Stages by the functions that do them, with their modules.
@@ -67,14 +67,8 @@ Times are cumulated times of the profiler on one thread: with several ones stage
 somewhat too long because it traces every call.
 """
 
-OF_SOME: Final = frozenset(
-    {
-        "lamp_reading.read_under_lamps",
-        "calibration_uncertainty.calibration_uncertainty",
-        "elevation_correction.correct_elevation",
-    }
-)
-"""The first is called with lamps that explain the balls, the second without, the third where elevation counts."""
+OF_SOME: Final = frozenset({"reading.correct_slopes", "calibration_uncertainty.calibration_uncertainty"})
+"""The first is called where held-out balls confirm the light model, the second where they do not."""
 
 
 def measure(
@@ -129,10 +123,14 @@ def _scan_to_results(raw: Path, calibration: Calibration, folder: Path) -> Recon
 def _without_sigma(raw: Path, calibration: Calibration, folder: Path, known: Reconstruction) -> None:
     """The same with the uncertainty of heights known already."""
     sigma = HeightUncertainty(known.sigma_um, known.samples_um)
-    spared = {"nonintegrable_residual": known.slope_sigma, "height_uncertainty": sigma, "height_draws": None}
+    spared = (
+        (pipeline, "nonintegrable_residual", known.slope_sigma),
+        (reading_uncertainty, "height_uncertainty", sigma),
+        (reading_uncertainty, "height_draws", None),
+    )
     with ExitStack() as stack:
-        for name, value in spared.items():
-            stack.enter_context(patch.object(stages, name, return_value=value))
+        for module, name, value in spared:
+            stack.enter_context(patch.object(module, name, return_value=value))
         _scan_to_results(raw, calibration, folder)
 
 
