@@ -91,9 +91,9 @@ def measure_check(
     if evidence.lacks_contact:
         raise CheckNotMeasured(f"{NOT_SEEN}: press {standard.name} into the gel")
     bias = calibration_ball_bias(calibration, model) if standard.kind == "ball" else None
-    own_share = MAX_CORRECTED_ERROR if bias else None
+    own_error = MAX_CORRECTED_ERROR if bias else None
     try:
-        measured = CheckMeasure(measure_standard(standard, look, bias), own_share=own_share)
+        measured = CheckMeasure(measure_standard(standard, look, bias), own_error=own_error)
     except CheckNotMeasured as error:
         if not fault:
             raise CheckNotMeasured(f"{NOT_SEEN}: {error}") from error
@@ -105,7 +105,7 @@ def measure_check(
         measure_standard(standard, _under_levels(frame, model, levels), bias)
     except CheckNotMeasured as error:
         raise CheckNotMeasured(f"{NOT_SEEN}: {error}; {fault}") from error
-    return CheckMeasure(None, fault[:200], own_share)
+    return CheckMeasure(None, fault[:200], own_error)
 
 
 def _under_levels(frame: RawFrame, model: QuickLookModel, levels: Levels) -> QuickLook:

@@ -31,16 +31,16 @@ MAX_CHECK_DRIFT: Final[dict[StandardKind, float]] = {"ball": 0.05, "step": 0.05,
 class CheckMeasure:
     """A check standard as a press shows it: its value, or None and what is wrong with the light that hides it.
 
-    own_share : relative error of the reading itself; None: as usual for its kind
+    own_error : relative error of the reading itself; None: as usual for its kind
     """
 
     value_um: float | None
     light_fault: str = ""
-    own_share: float | None = None
+    own_error: float | None = None
 
     def share_of(self, kind: StandardKind) -> float:
         """Return relative error of the reading itself."""
-        return MAX_OWN_ERROR[kind] if self.own_share is None else self.own_share
+        return MAX_OWN_ERROR[kind] if self.own_error is None else self.own_error
 
     def question(self, standard: CheckStandard) -> str:
         """Return the question to the operator about a ball that reads as another common one; empty without doubt."""

@@ -194,7 +194,7 @@ def _with_prefix(report_progress: Callable[[str], None], words: str) -> Callable
 # It is that of the first group and what joining them changes. Both are measured on the same balls with the same maps;
 # what the first group's error holds besides, held-out inflation and elevation, stays.
 
-LEAST_FRACTION: Final = 0.3
+MIN_ERROR_RATIO: Final = 0.3
 """Joining groups is not trusted to lessen an error by more."""
 
 
@@ -229,7 +229,7 @@ def joined_slope_error(
         np.clip(
             np.interp(first.tilt_deg, joined.tilt_deg, after)
             / np.maximum(np.interp(first.tilt_deg, alone.tilt_deg, before), 1e-9),
-            LEAST_FRACTION,
+            MIN_ERROR_RATIO,
             None,
         )
         for before, after in ((alone.pixel_deg, joined.pixel_deg), (alone.patch_deg, joined.patch_deg))

@@ -32,7 +32,7 @@ MAX_STRAY: Final = 0.05
 """Change of a light, relative, and light of the surroundings, fraction of full scale, that is corrected."""
 
 MAX_PRESS_CHANGE: Final = 0.5
-"""The same change of a calibration's press: a camera that sets white balance and exposure itself changes it so far."""
+"""Largest relative change of a light in a press of the calibration: a camera may set its white balance by itself."""
 
 
 def is_light(light: FrameLight) -> bool:
@@ -77,7 +77,7 @@ class LevelModel:
     def check_light(self, light: FrameLight) -> tuple[FrameCheck, FrameCheck]:
         """Return the checks of the light of a frame whose untouched skin shows it.
 
-        A channel's light may differ by `MAX_CHANGE`, and as far as the presses show of that channel.
+        A channel's light may differ by `MAX_CHANGE`, or as far as the presses show of that channel where that is more.
         """
         change = light.gains - 1.0
         allowed = np.where(change > 0.0, np.expm1(self.high), -np.expm1(self.low))

@@ -134,7 +134,7 @@ def _squared(z_um: Float32Array, sizes_um: list[float], form: str) -> tuple[Heig
 # The difference of two height maps of the same pixels, such as a result and the maker's own map of the same scan.
 
 SAME_PITCH: Final = 0.01
-LEAST_FRACTION: Final = 0.01
+MIN_COMMON_FRACTION: Final = 0.01
 DEPTH_PERCENTILES: Final = (0.5, 99.5)
 """Depth is from one to the other: single pixels do not count."""
 
@@ -172,7 +172,7 @@ def map_difference(height: HeightMap, other: HeightMap) -> MapDifference:
             f"the maps have pixels of {height.pitch_um:g} and {other.pitch_um:g} µm: compare maps of the same scan"
         )
     both = np.asarray(np.isfinite(height.z_um) & np.isfinite(other.z_um))
-    if both.mean() < LEAST_FRACTION:
+    if both.mean() < MIN_COMMON_FRACTION:
         raise MeasurementError("the maps have hardly a valid pixel in common: compare maps of the same scan")
     off = _without_plane(height.z_um.astype(np.float64) - other.z_um, both)
     low, high = np.percentile(_without_plane(other.z_um.astype(np.float64), both), DEPTH_PERCENTILES)
