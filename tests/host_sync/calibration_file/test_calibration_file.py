@@ -17,6 +17,7 @@ import pytest
 from pressed_frames import write_frame_set
 
 from device.balls.sphere import Viewpoint
+from device.bundles.calibration import CalibrationBundle
 from device.errors import CalibrationError
 from host_sync.calibration.calibrate import Calibration
 from host_sync.calibration_file.calibrator import Calibrator
@@ -265,6 +266,15 @@ def test_a_calibration_is_made_once_and_a_damaged_one_again(
     assert not path.exists()
     assert not CalibrationCache(None).keep(kept)
     assert not CalibrationCache(Path("/dev/null/nowhere")).keep(kept)
+
+
+@pytest.mark.slow
+def test_the_calibration_that_tests_share_is_the_one_made_again(
+    calibrator: Calibrator, twin_bundle: CalibrationBundle
+) -> None:
+    again = Calibrator(CalibrationCache(None)).of_bundle(twin_bundle).calibration
+    # An id is the digest of every array and number.
+    assert again.calibration_id == calibrator.of_bundle(twin_bundle).calibration.calibration_id
 
 
 def test_what_is_no_calibration_is_refused_in_a_sentence(
