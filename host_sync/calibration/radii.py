@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 from device.balls.detector import find_balls
-from device.balls.sphere import BallSamples, gather_samples
+from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.calibration.acceptance import MAX_RADIUS_SPREAD
-from device.calibration.fit import BegunFit, InverseFit, begin_fit
+from device.calibration.fit import BegunFit, begin_fit
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
@@ -284,17 +284,28 @@ def fit_to_best_balls(
 ) -> tuple[BegunFit, Sequence[UsedPress], Centres]:
     """Return the inverse map, with the balls and the centres that it is fitted to.
 
-    Where a hand labelled balls, those are taken that held-out labelled ones prefer. Balls that no label has count where
-    they make the labelled ones' held-out error smaller. Labelled contacts are cut to their core where that makes the
-    core's own held-out error smaller, and not by leaving balls aside.
+    Where a hand labelled balls, those are taken that held-out labelled ones prefer, by fits of a single curve. Balls
+    that no label has count where they make the labelled ones' held-out error smaller. Labelled contacts are cut to
+    their core where that makes the core's own held-out error smaller, and not by leaving balls aside.
 
     light : of untouched skin, None where no reference shows it
     """
     by_hand = [press.labelled_by_hand for press in presses]
-    best = fit_to(located, light)
     if not any(by_hand):
-        return best, located, "found"
+        return fit_to(located, light), located, "found"
+    balls, centres = _choose_centres(located, by_hand)
+    best = fit_to(balls, light)
+    if centres != "found at labels and beyond":
+        cut = [cut_to_core(used) if hand else used for used, hand in zip(balls, by_hand, strict=True)]
+        core = fit_to_cores(cut, best, light)
+        return (*core, centres) if core else (best, balls, centres)
+    return best, balls, centres
+
+
+def _choose_centres(located: Sequence[UsedPress], by_hand: Sequence[bool]) -> tuple[Sequence[UsedPress], Centres]:
+    """Return the balls that held-out labelled ones prefer, and where their centres come from."""
     chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
+    least_deg = _label_error_deg(located, located)
     choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
         ("found at labels", relocate_labels),
         ("found at labels and beyond", add_detections),
@@ -304,15 +315,10 @@ def fit_to_best_balls(
         more = name == "found at labels and beyond"
         if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
-        begun = fit_to(moved, light)
-        gain = MORE_BALLS_GAIN if more else 1.0
-        if gain * _label_error_deg(begun.fit, moved, located) < _label_error_deg(best.fit, chosen[0], located):
-            best, chosen = begun, (moved, name)
-    if chosen[1] != "found at labels and beyond":
-        cut = [cut_to_core(used) if hand else used for used, hand in zip(chosen[0], by_hand, strict=True)]
-        core = fit_to_cores(cut, best, light)
-        return (*core, chosen[1]) if core else (best, *chosen)
-    return best, *chosen
+        error_deg = _label_error_deg(moved, located)
+        if (MORE_BALLS_GAIN if more else 1.0) * error_deg < least_deg:
+            chosen, least_deg = (moved, name), error_deg
+    return chosen
 
 
 def fit_to_cores(
@@ -334,8 +340,15 @@ def _count(presses: Sequence[UsedPress]) -> int:
     return sum(len(press.balls) for press in presses)
 
 
-def _label_error_deg(fit: InverseFit, fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
-    """Return the median held-out error of the balls that `located` holds too: the first of each press in `fitted`."""
+def _label_error_deg(fitted: Sequence[UsedPress], located: Sequence[UsedPress]) -> float:
+    """Return the median held-out error of the balls that `located` holds too: the first of each press in `fitted`.
+
+    It is that of a single curve of intensity; infinite where the balls do not suffice for one.
+    """
+    try:
+        fit = begin_fit(*_samples_of(fitted), max_samples=FITTED_SAMPLES, alone=_is_alone(fitted)).fit
+    except CalibrationError:
+        return np.inf
     common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
@@ -346,10 +359,22 @@ def fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: Be
     light : of untouched skin, None where no reference shows it
     like : an earlier fit, whose choices are kept
     """
-    samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
-    balls = [ball for press in presses for ball in press.balls]
-    alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
-    shape = presses[0].intensity.shape
     return begin_fit(
-        samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=True, like=like, alone=alone
+        *_samples_of(presses),
+        max_samples=FITTED_SAMPLES,
+        light=light,
+        thorough=True,
+        like=like,
+        alone=_is_alone(presses),
     )
+
+
+def _samples_of(presses: Sequence[UsedPress]) -> tuple[BallSamples, list[Ball], tuple[int, int]]:
+    """Return the samples of the presses' balls, the balls, and the shape of the field."""
+    samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
+    return samples, [ball for press in presses for ball in press.balls], presses[0].intensity.shape
+
+
+def _is_alone(presses: Sequence[UsedPress]) -> MaskArray:
+    """Return True for balls that are alone in their press: bool array of shape (balls,)."""
+    return np.array([len(press.balls) == 1 for press in presses for _ in press.balls], np.bool_)
