@@ -1,7 +1,7 @@
 """Heights of successive frames under one calibration: a frame costs its slopes and one weighted integration.
 
-What changes slowly is shared. Frames of one stretch have the light of its first frame. Elevation, hidden lights and
-skin at rest are found on a coarse frame (`fine_pass`). Working arrays are kept.
+Gains and offsets, elevation, hidden lights and skin at rest are found on a coarse frame (`fine_pass`). Working arrays
+are reused.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from device.imaging.flat_field import LinearFrame, NormalizedImage, demosaic, flat_field_correct
-from device.imaging.frame_light import FrameLight
 from device.imaging.frame_measures import shaded_fraction
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray, full_rectangle
 from hal.frame import RawFrame
@@ -55,9 +54,6 @@ from host_sync.video.fine_pass import (
 
 CHECK_STRIDE_FACTOR: Final = 8
 """Checks of video frames sample this many times more coarsely than those of a single frame."""
-
-STRETCH: Final = 30
-"""Frames that share one light; pattern, layout and levels are checked of the first of them."""
 
 SAMPLED_COLUMNS: Final = 180
 """Columns sampled for the contact fraction, at most; rows are sampled at the same distance."""
@@ -184,25 +180,22 @@ class FrameSolver:
             force=self.force,
         )
 
-    def light_of(self, frame: StoredFrame) -> FrameLight:
-        """Return the light of the stretch that begins with a frame; errors as for `solve`."""
-        intensity = self._read(frame)
-        checks = self._calibration.frame_model.check(intensity, self._flat_field)
-        raise_on_warnings(refusals(checks), frame.name, force=self.force)
-        evidence = None if self._rest is None else self._rest.evidence(*self._reduced(intensity))
-        if evidence is None or not evidence.has_rest:
-            return FrameLight.unchanged()
-        checks = self._calibration.frame_model.levels.check_light(evidence.light)
-        raise_on_warnings(refusals(checks), frame.name, force=self.force)
-        return evidence.light
+    def check(self, frame: StoredFrame) -> None:
+        """Refuse a frame whose pattern, layout or levels are not the calibration's; errors as for `solve`.
 
-    def solve(
-        self, frame: StoredFrame, out: Float32Array, light: FrameLight | None = None, sigma: Float32Array | None = None
-    ) -> FrameStatistics:
+        They change slowly, so that few frames of a sequence need be checked.
+        """
+        intensity = self._read(frame)
+        check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
+        found = self._calibration.frame_model.check(intensity, self._flat_field)
+        raise_on_warnings(refusals(found), frame.name, force=self.force)
+
+    def solve(self, frame: StoredFrame, out: Float32Array, sigma: Float32Array | None = None) -> FrameStatistics:
         """Write a frame's heights (µm, zero at untouched skin, NaN where invalid) to `out`; returns its statistics.
 
+        Pattern, layout and levels are not checked: see `check`.
+
         out : float32 array of shape (H, W)
-        light : of the frame's stretch; None to measure the frame's own
         sigma : receives the standard uncertainty of the heights, µm, float32 array of shape (H, W); None for none
 
         Raises
@@ -214,17 +207,19 @@ class FrameSolver:
         SequenceError
             The encoding of its values is unknown.
         """
-        light = light or self.light_of(frame)
         intensity = self._read(frame)
         check_exposure(intensity, self._flat_field, frame.name, CHECK_STRIDE_FACTOR)
         image, squares = self._reduced(intensity)
-        take_out_light(light, image.values, self._coarse_rest)
-        if self._cell > 1:
-            take_out_light(light, intensity.values, self._flat_field)
+        evidence = None if self._rest is None else self._rest.evidence(image, squares)
+        drifted: list[str] = []
+        if evidence is not None and evidence.has_rest:
+            drifted = refusals(self._calibration.frame_model.levels.check_light(evidence.light))
+            take_out_light(evidence.light, intensity.values, self._flat_field)
+            if image is not intensity:
+                take_out_light(evidence.light, image.values, self._coarse_rest)
         samples = SAMPLES_ALONG // CHECK_STRIDE_FACTOR
         foreign = check_frame(image, self._coarse_rest, self._coarse.inverse.map, samples)
-        raise_on_warnings(foreign, frame.name, force=self.force)
-        evidence = None if self._rest is None else self._rest.evidence(image, squares)
+        raise_on_warnings([*foreign, *drifted], frame.name, force=self.force)
         if self._cell == 1 and self._calibration.shrinkage is not None:
             image = self._calibration.shrinkage.shrunk(image)
         reading = read_coarse(image, evidence, self._coarse, self.method, self._coarse_slopes, is_whole=self._cell == 1)

@@ -1,7 +1,7 @@
 """Frames in, heights out: every frame in order, several at once, or the newest one only; of a recording or a sensor.
 
 Parallel over whole frames, not over stages of one: threads need not synchronize at every level of the solver, and a
-frame's heights cannot depend on how many are solved at once. Frames of a stretch share the light of its first one.
+frame's heights cannot depend on how many are solved at once.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Condition, Thread
@@ -20,7 +21,6 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from device.errors import DeviceError
-from device.imaging.frame_light import FrameLight
 from device.surface import Float32Array
 from hal.errors import HalError
 from host_sync.errors import ArgumentError, HostError
@@ -28,7 +28,7 @@ from host_sync.frames.image_file import read_image
 from host_sync.frames.sequence import DEFAULT_RATE_HZ, BadFrame, FrameSequence, StoredFrame, open_sequence
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.text import printable
-from host_sync.video.frame_solver import STRETCH, FrameSolver, FrameStatistics
+from host_sync.video.frame_solver import FrameSolver, FrameStatistics
 from host_sync.video.sensors import Sensor, is_sensor, open_sensor
 
 MAX_AT_ONCE: Final = 4
@@ -36,6 +36,9 @@ MAX_AT_ONCE: Final = 4
 
 MAX_PX_AT_ONCE: Final = 1 << 25
 """Maximum number of pixels at once, each with 50 to 60 bytes of working arrays; a single frame may be larger."""
+
+CHECK_INTERVAL: Final = 30
+"""Pattern, layout and levels are checked of one in so many frames, and of all up to the next if it does not pass."""
 
 CLOSING_S: Final = 10.0
 """Longest wait for a source's frame when it is closed."""
@@ -115,43 +118,47 @@ class FrameStream:
         return in_order(self._submitted(frames), 0 if self.at_once == 1 else self.at_once)
 
     def _submitted(self, frames: Iterable[StoredFrame | BadFrame]) -> Iterator[Future[SolvedFrame]]:
-        light: Future[FrameLight | None] = Future()
+        passed: Future[bool] = Future()
         for count, frame in enumerate(frames):
-            first = count % STRETCH == 0
-            light = Future() if first else light
+            is_first = count % CHECK_INTERVAL == 0
+            passed = Future() if is_first else passed
             try:
-                job = self._executor.submit(self._solved, count, frame, light, first)
+                job = self._executor.submit(self._solved, count, frame, passed, is_first)
             except RuntimeError:  # it was closed, maybe by another thread
                 return
+            if is_first:  # also when it is cancelled or fails, so that no other frame waits for it
+                job.add_done_callback(partial(_settle, passed))
             yield job
 
-    def _solved(
-        self, count: int, frame: StoredFrame | BadFrame, light: Future[FrameLight | None], first: bool
-    ) -> SolvedFrame:
+    def _solved(self, count: int, frame: StoredFrame | BadFrame, passed: Future[bool], is_first: bool) -> SolvedFrame:
         z_um = np.empty(self._shape, np.float32)
         sigma_um = np.full(self._shape, np.nan, np.float32) if self._sigma else None
         number, reason = count if frame.number is None else frame.number, ""
         if isinstance(frame, StoredFrame):
             solver = self._solvers.get()
             try:
-                if first:
-                    light.set_result(solver.light_of(frame))
-                figures = solver.solve(frame, z_um, light.result(), sigma_um)
+                if is_first or not passed.result():
+                    solver.check(frame)
+                if is_first:
+                    passed.set_result(True)
+                figures = solver.solve(frame, z_um, sigma_um)
                 name = printable(frame.name)
                 return SolvedFrame(number, name, z_um, sigma_um, figures, frame)
             except (DeviceError, HostError) as error:
                 reason = str(error)
             finally:
                 self._solvers.put(solver)
-                if first and not light.done():
-                    light.set_result(None)
         else:
             reason = frame.reason
-            if first:
-                light.set_result(None)
         z_um.fill(np.nan)
         message = printable(reason if frame.name in reason else f"{frame.name}: {reason}")
         return SolvedFrame(number, printable(frame.name), z_um, sigma_um, None, frame, message)
+
+
+def _settle(passed: Future[bool], _job: Future[SolvedFrame]) -> None:
+    """Record of the first of some frames that it did not pass, if nothing is recorded."""
+    if not passed.done():
+        passed.set_result(False)
 
 
 class NewestFrames:

@@ -104,15 +104,24 @@ def test_arrays_and_files_give_the_same_bits(folder: Path) -> None:
     np.testing.assert_array_equal(api.load_result("results/ball").height_um, from_file)
 
 
-@pytest.mark.parametrize(("widest_px", "fraction", "ratio"), [(384, 0.98, 1.4), (192, 0.9, 2.0)])
+@pytest.mark.parametrize(
+    ("widest_px", "fraction", "ratio", "light"),
+    [(384, 0.98, 1.4, 1.0), (384, 0.98, 1.4, 1.04), (192, 0.9, 2.0, 1.0), (192, 0.9, 2.0, 1.04)],
+)
 def test_a_streamed_frame_is_the_frame_reconstructed_alone(
-    folder: Path, widest_px: int, fraction: float, ratio: float, monkeypatch: pytest.MonkeyPatch
+    folder: Path, widest_px: int, fraction: float, ratio: float, light: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Heights agree within 0.3 of their uncertainty but at the edges of shadow: at 98 of 100 places, or where slow
-    changes are found on a coarse frame at nine of ten. There the uncertainty comes out up to twice as large."""
+    changes are found on a coarse frame at nine of ten. There the uncertainty comes out up to twice as large. The second
+    and third frame may be brighter than the first and the calibration."""
     monkeypatch.setattr(frame_solver, "WIDEST_PX", widest_px)
     kept = api.load_calibration("gel.calibration")
     names = ["ball-6.png", "ball-1.png", "ball-6.png"]
+    if light > 1.0:
+        names = ["ball-6.png", "bright-ball-1.png", "bright-ball-6.png"]
+        for name in names[1:]:
+            stored = cv2.imread(name.removeprefix("bright-"), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(name, np.minimum(np.rint(light * stored), np.iinfo(stored.dtype).max).astype(stored.dtype))
     alone = {name: api.reconstruct(name, kept) for name in names}
     with api.stream(names, kept, sigma=True) as stream:
         assert stream.shape == (288, 384)
@@ -123,6 +132,18 @@ def test_a_streamed_frame_is_the_frame_reconstructed_alone(
             assert 0.7 < np.nanmedian(frame.sigma_um / alone[name].sigma_um) < ratio
             assert frame.contact.depth_um == pytest.approx(float(np.nanmax(frame.height_um)), rel=0.1)
     assert stream.dropped == 0
+
+
+def test_a_frame_that_is_not_checked_is_refused_for_its_light(folder: Path) -> None:
+    """Red is too bright in the second frame alone."""
+    stored = cv2.imread("ball-6.png", cv2.IMREAD_UNCHANGED)
+    stored[..., 2] = np.rint(np.minimum(1.25 * stored[..., 2], np.iinfo(stored.dtype).max))
+    cv2.imwrite("red.png", stored)
+    with api.stream(["ball-6.png", "red.png", "ball-6.png"], api.load_calibration("gel.calibration")) as stream:
+        first, red, last = stream
+    assert (first.problem, last.problem) == (None, None)
+    assert red.problem is not None
+    assert "its lights differ from the calibration's by" in red.problem
 
 
 def test_many_images_come_in_order_and_a_bad_one_keeps_its_place(folder: Path) -> None:

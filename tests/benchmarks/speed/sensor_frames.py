@@ -19,7 +19,6 @@ from typing import Final
 import numba
 import numpy as np
 
-from device.imaging.frame_light import FrameLight
 from device.surface import Float32Array
 from host_sync import api
 from host_sync.frames.image_file import read_image
@@ -36,23 +35,22 @@ def main(calibration: str, *images: str) -> None:
     solver = FrameSolver.of(api.load_calibration(calibration))
     frames = [StoredFrame(image, read_image(Path(image))) for image in images]
     height = np.empty(solver.shape, np.float32)
-    light = solver.light_of(frames[0])
     for name, sigma in (("heights", None), ("heights and uncertainty", np.empty_like(height))):
-        spent_ms = _spent_ms(solver, frames, light, height, sigma)
+        spent_ms = _spent_ms(solver, frames, height, sigma)
         rows, columns = solver.shape
         sys.stdout.write(f"{columns}x{rows}, {name}: {spent_ms:.1f} ms, {1e3 / spent_ms:.0f} frames a second\n")
 
 
 def _spent_ms(
-    solver: FrameSolver, frames: list[StoredFrame], light: FrameLight, height: Float32Array, sigma: Float32Array | None
+    solver: FrameSolver, frames: list[StoredFrame], height: Float32Array, sigma: Float32Array | None
 ) -> float:
     """Return the processor time of a frame in the quickest round, ms."""
-    solver.solve(frames[0], height, light, sigma)
+    solver.solve(frames[0], height, sigma)
     rounds = []
     for _ in range(ROUNDS):
         began_s = time.process_time()
         for number in range(FRAMES):
-            solver.solve(frames[number % len(frames)], height, light, sigma)
+            solver.solve(frames[number % len(frames)], height, sigma)
         rounds.append(1e3 * (time.process_time() - began_s) / FRAMES)
     return min(rounds)
 

@@ -176,16 +176,16 @@ def test_frames_of_another_size_or_order_are_named_and_the_others_go_on(tmp_path
     assert written == {"heights_um.tif", "result.json", "contact.csv", "contact.png"}
 
 
-def test_a_mirrored_frame_within_a_stretch_is_refused() -> None:
+def test_a_mirrored_frame_after_one_that_passes_is_refused() -> None:
     uneven = calibration()
     across, down = (np.linspace(0.98, 1.02, length)[:, None] for length in reversed(SHAPE))
     uneven.flat_field = np.ascontiguousarray(uneven.flat_field * across * down[:, None], np.float32)
     pixels = np.rint(uneven.flat_field * 65535.0).astype(np.uint16)
     of_uneven = FrameSolver(uneven, "direct", "linear")
-    light = of_uneven.light_of(StoredFrame("good", pixels))
+    of_uneven.check(StoredFrame("good", pixels))
     mirrored = StoredFrame("mirrored", np.ascontiguousarray(pixels[:, ::-1]))
     with pytest.raises(CalibrationMismatch, match="mirrored left to right"):
-        of_uneven.solve(mirrored, np.empty(SHAPE, np.float32), light)
+        of_uneven.solve(mirrored, np.empty(SHAPE, np.float32))
 
 
 def test_without_weights_a_clean_surface_is_the_same(tmp_path: Path) -> None:

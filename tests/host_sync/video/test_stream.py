@@ -9,6 +9,7 @@ from threading import Event
 import numpy as np
 import pytest
 
+from device.errors import CalibrationMismatch
 from host_sync.errors import IntegrationError, SourceError
 from host_sync.frames.sequence import BadFrame, StoredFrame
 from host_sync.video import stream
@@ -32,10 +33,10 @@ class Waiting:
     def clone(self) -> Waiting:
         return Waiting(self._second_done, self._made)
 
-    def light_of(self, _frame: StoredFrame) -> None:
-        return None
+    def check(self, _frame: StoredFrame) -> None:
+        pass
 
-    def solve(self, frame: StoredFrame, out: np.ndarray, _light: None, _sigma: None) -> FrameStatistics:
+    def solve(self, frame: StoredFrame, out: np.ndarray, _sigma: None) -> FrameStatistics:
         value = int(frame.pixels[0, 0, 0])
         if value == 0:
             assert self._second_done.wait(PATIENCE_S)
@@ -149,22 +150,28 @@ def test_a_source_that_fails_ends_the_newest_frames_with_its_error() -> None:
 
 
 @pytest.mark.parametrize("at_once", [1, 2])
-def test_frames_of_a_stretch_share_the_light_of_its_first_frame(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "STRETCH", 3)
-    shared: list[tuple[int, object]] = []
+def test_few_frames_are_checked_and_all_after_one_that_does_not_pass(
+    at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "CHECK_INTERVAL", 3)
+    checked: list[int] = []
 
-    class Lit(Waiting):
+    class Checking(Waiting):
         def clone(self) -> Waiting:
-            return Lit(self._second_done, self._made)
+            return Checking(self._second_done, self._made)
 
-        def light_of(self, frame: StoredFrame) -> int:
-            return int(frame.pixels[0, 0, 0])
+        def check(self, frame: StoredFrame) -> None:
+            value = int(frame.pixels[0, 0, 0])
+            checked.append(value)
+            if value in {8, 9}:
+                raise CalibrationMismatch("another gel")
 
-        def solve(self, frame: StoredFrame, _out: np.ndarray, light: object, _sigma: None) -> FrameStatistics:
-            shared.append((int(frame.pixels[0, 0, 0]), light))
+        def solve(self, _frame: StoredFrame, _out: np.ndarray, _sigma: None) -> FrameStatistics:
             return FrameStatistics(0.0, 0.0, 0.0, 0.0)
 
-    with FrameStream(Lit(Event(), []), at_once) as solving:
-        list(solving.solve([*frames(1, 2, 3), BadFrame("torn", "is torn"), *frames(5, 6)]))
-    # A stretch whose first frame cannot be used has the light of each of its frames.
-    assert sorted(shared) == [(1, 1), (2, 1), (3, 1), (5, None), (6, None)]
+    with FrameStream(Checking(Event(), []), at_once) as solving:
+        given = [*frames(1, 2, 3), BadFrame("torn", "torn: is truncated"), *frames(5, 6, 8, 9, 4)]
+        reasons = [one.reason for one in solving.solve(given)]
+    assert sorted(checked) == [1, 4, 5, 6, 8, 9]
+    refused = ["frame 8: another gel", "frame 9: another gel"]
+    assert reasons == [None, None, None, "torn: is truncated", None, None, *refused, None]
