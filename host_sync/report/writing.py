@@ -173,6 +173,7 @@ _PLACES: Final = (
     "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
 )
 _DATE: Final = re.compile(rb"/(?:Creation|Mod)Date \(D:[^)]*\)")
+_NODE: Final = re.compile(rb"\(node\d{8}\)")
 
 
 def find_browser() -> str | None:
@@ -205,7 +206,7 @@ def report_files(place: Path) -> tuple[Path, Path]:
 
 
 def _printed(page: Path, browser: str) -> bytes:
-    """Return the PDF of a page without its dates: the same page gives the same bytes."""
+    """Return the PDF of a page; the same page gives the same bytes."""
     sheet = page.with_name(f".{page.name}.partial")  # beside the page: a packaged browser may have a /tmp of its own
     with TemporaryDirectory(prefix="retrograph-", ignore_cleanup_errors=True) as profile:
         # Without a sandbox, which containers refuse: the page has no scripts, and its pictures were encoded here.
@@ -220,7 +221,14 @@ def _printed(page: Path, browser: str) -> bytes:
             raise ResultError(f"{page} is written, but {browser} makes no PDF of it: print it from a window") from error
         finally:
             sheet.unlink(missing_ok=True)
-    return _DATE.sub(lambda found: b" " * len(found[0]), data)
+    return _repeatable(data)
+
+
+def _repeatable(sheet: bytes) -> bytes:
+    """Return a PDF without its dates and with its elements numbered in order: a browser numbers them by chance."""
+    numbers: dict[bytes, int] = {}
+    dated = _NODE.sub(lambda found: b"(node%08d)" % numbers.setdefault(found[0], len(numbers)), sheet)
+    return _DATE.sub(lambda found: b" " * len(found[0]), dated)
 
 
 # A report as one self-contained HTML file without scripts, whose print style is that of the PDF.

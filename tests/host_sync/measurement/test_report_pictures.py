@@ -1,4 +1,4 @@
-"""The report's pictures of a press over time and of a calibration."""
+"""Pictures of a press over time and of a calibration in a report, and the bytes of its sheet."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 from device.bundles.scan import MovieFrameRecord, MovieRecord
 from device.surface import HeightMap
 from host_sync.report.pictures import movie_picture, overview_picture
-from host_sync.report.writing import Picture, Report, html_page
+from host_sync.report.writing import Picture, Report, _repeatable, html_page
 
 FIELD = HeightMap(np.zeros((1000, 1400), np.float32), 10.0)
 
@@ -49,3 +49,12 @@ def test_the_overview_of_a_calibration_takes_the_width_of_a_page(tmp_path: Path)
     assert '<img class="sheet" src="data:image/png;base64,' in page.partition("<figcaption>relief")[2]
     overview.write_bytes(b"no picture")
     assert list(overview_picture(overview)) == []
+
+
+def test_a_sheet_is_the_same_whenever_it_was_printed_and_however_the_browser_numbers_its_elements() -> None:
+    def printed(first: int, day: int) -> bytes:
+        elements = b"".join(b"/ID (node%08d) /Headers [(node%08d)]" % (first + 3 * k, first) for k in range(2))
+        return b"/CreationDate (D:202601%02d120000+00'00')" % day + elements
+
+    assert _repeatable(printed(17, 3)) == _repeatable(printed(16, 4))
+    assert _repeatable(printed(17, 3)).count(b"(node00000000)") == 3
