@@ -1,8 +1,9 @@
-"""Processor time of a sensor's video frames on one thread, with and without their uncertainty.
+"""Processor time of a sensor's video frames on one thread, with and without their uncertainty, and their agreement.
 
 usage: python -m tests.benchmarks.speed.sensor_frames CALIBRATION FRAME...
 
 CALIBRATION is a file of `retrosync calibrate`; the frames are images of that sensor, in turn. Decoding is not included.
+Agreement is the difference to the frame reconstructed alone, over the standard uncertainty that it has there.
 """
 
 from __future__ import annotations
@@ -30,15 +31,21 @@ FRAMES: Final = 20
 
 
 def main(calibration: str, *images: str) -> None:
-    """Print milliseconds of processor time a frame, and the frames a second of one core."""
+    """Print the processor time of a frame, the frames a second of one core, and the agreement of each frame."""
     numba.set_num_threads(1)
-    solver = FrameSolver.of(api.load_calibration(calibration))
+    known = api.load_calibration(calibration)
+    solver = FrameSolver.of(known)
     frames = [StoredFrame(image, read_image(Path(image))) for image in images]
     height = np.empty(solver.shape, np.float32)
     for name, sigma in (("heights", None), ("heights and uncertainty", np.empty_like(height))):
         spent_ms = _spent_ms(solver, frames, height, sigma)
         rows, columns = solver.shape
         sys.stdout.write(f"{columns}x{rows}, {name}: {spent_ms:.1f} ms, {1e3 / spent_ms:.0f} frames a second\n")
+    for image, frame in zip(images, frames, strict=True):
+        solver.solve(frame, height)
+        alone = api.reconstruct(image, known, force=True)
+        off = np.abs(height - alone.height_um) / alone.sigma_um
+        sys.stdout.write(f"{image}: {np.nanquantile(off, 0.9):.2f} standard uncertainties off, 90th percentile\n")
 
 
 def _spent_ms(
