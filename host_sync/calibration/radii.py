@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from device.balls.detector import find_balls
-from device.balls.sphere import Ball, BallSamples, gather_samples
+from device.balls.sphere import BallSamples, gather_samples
 from device.calibration.acceptance import MAX_RADIUS_SPREAD
 from device.calibration.fit import BegunFit, begin_fit
 from device.errors import CalibrationError
@@ -305,7 +305,7 @@ def fit_to_best_balls(
 def _choose_centres(located: Sequence[UsedPress], by_hand: Sequence[bool]) -> tuple[Sequence[UsedPress], Centres]:
     """Return the balls that held-out labelled ones prefer, and where their centres come from."""
     chosen: tuple[Sequence[UsedPress], Centres] = (located, "labelled")
-    least_deg = _label_error_deg(located, located)
+    smallest_deg = _label_error_deg(located, located)
     choices: tuple[tuple[Centres, Callable[[UsedPress], UsedPress]], ...] = (
         ("found at labels", relocate_labels),
         ("found at labels and beyond", add_detections),
@@ -316,8 +316,8 @@ def _choose_centres(located: Sequence[UsedPress], by_hand: Sequence[bool]) -> tu
         if more and _count(moved) < WORTH_MORE_BALLS * _count(located):
             continue
         error_deg = _label_error_deg(moved, located)
-        if (MORE_BALLS_GAIN if more else 1.0) * error_deg < least_deg:
-            chosen, least_deg = (moved, name), error_deg
+        if (MORE_BALLS_GAIN if more else 1.0) * error_deg < smallest_deg:
+            chosen, smallest_deg = (moved, name), error_deg
     return chosen
 
 
@@ -346,35 +346,26 @@ def _label_error_deg(fitted: Sequence[UsedPress], located: Sequence[UsedPress]) 
     It is that of a single curve of intensity; infinite where the balls do not suffice for one.
     """
     try:
-        fit = begin_fit(*_samples_of(fitted), max_samples=FITTED_SAMPLES, alone=_is_alone(fitted)).fit
+        fit = fit_to(fitted, None, thorough=False).fit
     except CalibrationError:
         return np.inf
     common = [i < len(own.balls) for press, own in zip(fitted, located, strict=True) for i in range(len(press.balls))]
     return float(np.median(fit.ball_error_deg[np.array(common)]))
 
 
-def fit_to(presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None) -> BegunFit:
+def fit_to(
+    presses: Sequence[UsedPress], light: IlluminationMap | None, like: BegunFit | None = None, *, thorough: bool = True
+) -> BegunFit:
     """Return the inverse map of the presses' balls, begun.
 
     light : of untouched skin, None where no reference shows it
     like : an earlier fit, whose choices are kept
+    thorough : as of `begin_fit`
     """
-    return begin_fit(
-        *_samples_of(presses),
-        max_samples=FITTED_SAMPLES,
-        light=light,
-        thorough=True,
-        like=like,
-        alone=_is_alone(presses),
-    )
-
-
-def _samples_of(presses: Sequence[UsedPress]) -> tuple[BallSamples, list[Ball], tuple[int, int]]:
-    """Return the samples of the presses' balls, the balls, and the shape of the field."""
     samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
-    return samples, [ball for press in presses for ball in press.balls], presses[0].intensity.shape
-
-
-def _is_alone(presses: Sequence[UsedPress]) -> MaskArray:
-    """Return True for balls that are alone in their press: bool array of shape (balls,)."""
-    return np.array([len(press.balls) == 1 for press in presses for _ in press.balls], np.bool_)
+    balls = [ball for press in presses for ball in press.balls]
+    alone = np.array([len(press.balls) == 1 for press in presses for _ in press.balls])
+    shape = presses[0].intensity.shape
+    return begin_fit(
+        samples, balls, shape, max_samples=FITTED_SAMPLES, light=light, thorough=thorough, like=like, alone=alone
+    )

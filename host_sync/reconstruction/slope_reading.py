@@ -109,8 +109,8 @@ class UncorrectedResults:
     """Results on a frame that do not depend on its correction, and are computed beside it.
 
     raw : slopes of the frame with its noise, as of `uncorrected`; None where nothing was shrunk
-    out_of_domain : as `out_of_domain_blocks` returns it; None of groups of
-        lights after the first, whose blocks count for all
+    out_of_domain : as `out_of_domain_blocks` returns it; None of groups of lights after the first, whose blocks count
+        for all
     """
 
     raw: GradientField | None
