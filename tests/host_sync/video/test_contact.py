@@ -68,16 +68,37 @@ def test_nothing_touches_where_heights_are_within_noise_or_unknown() -> None:
     assert unknown.depth_um is None
 
 
+def textures(steps: int, right_px: float, down_px: float, seed: int = 2) -> list[np.ndarray]:
+    """Log light of a random texture that moves."""
+    random = np.random.default_rng(seed)
+    texture = cv2.GaussianBlur(random.uniform(-1.0, 1.0, SHAPE).astype(np.float32), (0, 0), 1.5)
+    moved = [np.float32([[1, 0, right_px * i], [0, 1, down_px * i]]) for i in range(steps)]
+    return [0.2 * cv2.warpAffine(texture, way, SHAPE[::-1]) for way in moved]
+
+
 def test_slip_is_the_way_of_the_texture_in_the_contact() -> None:
-    random = np.random.default_rng(2)
-    texture = cv2.GaussianBlur(random.uniform(0.0, 255.0, SHAPE).astype(np.float32), (0, 0), 2.0)
-    texture = (texture - texture.min()) * (255.0 / np.ptp(texture))
     contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
-    for step in range(4):
-        moved = cv2.warpAffine(texture, np.float32([[1, 0, 1.5 * step], [0, 1, -0.5 * step]]), SHAPE[::-1])
-        found = slip.follow(moved.astype(np.uint8), contact)
-    assert found == pytest.approx((-1.5, 4.5), abs=0.15)
-    assert slip.follow(texture.astype(np.uint8), find_contact(np.zeros(SHAPE, np.float32), PITCH_UM)) is None
+    found = [slip.follow(light, contact) for light in textures(4, 1.5, -0.5)]
+    assert found[0] == (0.0, 0.0)
+    assert found[-1] == pytest.approx((-1.5, 4.5), abs=0.15)
+    assert slip.follow(textures(1, 0.0, 0.0)[0], find_contact(np.zeros(SHAPE, np.float32), PITCH_UM)) is None
+    assert slip.follow(textures(1, 0.0, 0.0)[0], contact) == (0.0, 0.0)
+
+
+def test_slip_is_not_held_back_by_the_shading_of_the_object() -> None:
+    contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
+    random = np.random.default_rng(3)
+    shading = 0.01 * cv2.GaussianBlur(np.gradient(cap_um(400.0), axis=1), (0, 0), 2.0)
+    for light in textures(8, 1.0, 0.0):
+        noise = random.normal(0.0, 0.005, SHAPE)
+        found = slip.follow((0.5 * light + shading + noise).astype(np.float32), contact)
+    assert found == pytest.approx((0.0, 7.0), abs=0.7)
+
+
+def test_slip_is_not_known_once_a_frame_shows_another_texture() -> None:
+    contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
+    frames = [*textures(2, 1.0, 0.0), *textures(2, 1.0, 0.0, seed=5)]
+    assert [slip.follow(light, contact) is None for light in frames] == [False, False, True, True]
 
 
 def solved(number: int, z_um: np.ndarray, reason: str | None = None) -> SolvedFrame:
