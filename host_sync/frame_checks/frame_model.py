@@ -222,8 +222,8 @@ class PatternModel:
         strength, weakest = self._strength(sight), min(self._strength(press) for press in self.presses)
         words = (
             f"the pattern of the reference's skin is missing in it: {max(strength, 0.0):.0%} of the strength that the "
-            f"calibration's presses show (at least {MIN_STRENGTH * weakest:.0%}): another gel, another device, or far "
-            "out of focus"
+            f"calibration's presses show (at least {MIN_STRENGTH * weakest:.0%}): another gel, another device, far out "
+            "of focus, or compressed with loss"
         )
         return FrameCheck(POSITION, "refused", strength, MIN_STRENGTH * weakest, "of the presses' strength", words)
 
@@ -261,7 +261,8 @@ class PatternModel:
             return FrameCheck(SHARPNESS, "passed", self._blur_px(ratio), MAX_BLUR_PX, "px")
         words = (
             f"it is blurred: the skin's pattern is smoothed as by a Gaussian of {self._blur_px(ratio):.1f} px against "
-            f"the calibration's presses (at most {MAX_BLUR_PX:.1f} px): out of focus, moved, or scaled"
+            f"the calibration's presses (at most {MAX_BLUR_PX:.1f} px): out of focus, moved, scaled, or compressed "
+            "with loss"
         )
         return FrameCheck(SHARPNESS, "refused", self._blur_px(ratio), MAX_BLUR_PX, "px", words)
 
