@@ -145,7 +145,7 @@ def read_result(folder: Path, *, samples: bool = True) -> ResultSurface:
         sigma_um=_optional(folder / HEIGHT_SIGMA_FILE, lambda path: read_field(path, shape)),
         extrapolated=_optional(folder / EXTRAPOLATED_FILE, lambda path: read_mask(path, shape)),
         other=None if other is None else HeightMap(other, record.pixel_pitch_um),
-        untouched=_optional(folder / UNTOUCHED_FILE, lambda path: read_mask(path, shape)) if samples else None,
+        untouched=_optional(folder / UNTOUCHED_FILE, lambda path: read_mask(path, shape)),
     )
 
 

@@ -2,9 +2,11 @@
 
 The difference is looked at for round changes of several widths (`heights`). The spread of each band is taken from the
 difference itself, more where it is steep: what is steep differs more, by gain and by shift. Medians are used, so a
-change in a small part of the field does not hide itself. `LIMIT` is what the largest of a field without a change stays
-below on the twin (`docs/same-spot.md`); it is more than that of normal noise, because gains differ in patches and skin
-that bridges valleys drapes differently at another depth.
+change in a small part of the field does not hide itself; skin that neither press touched does not count. Where the
+object lies farther from its first place than the widest change, heights of both presses err independently: their
+uncertainty is part of the spread. `LIMIT` is what the largest of a field without a change stays below on the twin
+(`docs/same-spot.md`); it is more than that of normal noise, because gains differ in patches and skin that bridges
+valleys drapes differently at another depth.
 
 From the same spreads follows the detection limit: the height of a round change that is found in 95 % of places.
 
@@ -183,18 +185,22 @@ class _Band:
     spread: Float32Array
 
 
-def changes(first: HeightMap, found: Difference) -> Changes:
+def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = None) -> Changes:
     """Return the significant changes in a difference.
 
     first : the first press, on whose grid the difference is
+    untouched : skin that neither press touched, of the first map's shape, where there is nothing to judge
     """
     step = max(1, -(-max(first.z_um.shape) // MAX_PX))
     size = (first.z_um.shape[1] // step, first.z_um.shape[0] // step)
-    z_um, rest = (_small(values, step, size) for values in (first.z_um, found.z_um))
+    off = found.z_um if untouched is None else np.where(untouched, np.float32(np.nan), found.z_um)
+    z_um, rest = (_small(values, step, size) for values in (first.z_um, off))
     gain = _gain(z_um, rest)
     background = blurred(z_um, BACKGROUND_PX)[0]
     rest = rest - np.float32(gain) * (z_um - background)
-    bands = [_band(z_um, rest, scale) for scale in SCALES_PX]
+    widest_um = WIDTH_TO_DIAMETER * SCALES_PX[-1] * first.pitch_um * step
+    sigma_um = _small(_independent_sigma(found, widest_um), step, size)
+    bands = [_band(z_um, rest, sigma_um, scale) for scale in SCALES_PX]
     highest = max(
         (float(np.nanmax(np.abs(band.score))) for band in bands if np.isfinite(band.score).any()), default=0.0
     )
@@ -212,6 +218,13 @@ def changes(first: HeightMap, found: Difference) -> Changes:
     judged = float(np.isfinite(bands[0].score).mean())
     limits = tuple(_limit(band, first.pitch_um * step) for band in bands if np.isfinite(band.spread).any())
     return Changes(tuple(listed), limits, judged, highest, gain)
+
+
+def _independent_sigma(found: Difference, widest_um: float) -> Float32Array:
+    """Return the uncertainty (H, W) of a difference; 0 where the object hardly moved, as both heights err alike."""
+    if found.sigma_um is None or np.hypot(*found.shift_um) <= widest_um:
+        return np.zeros_like(found.z_um)
+    return found.sigma_um
 
 
 def _limit(band: _Band, pitch_um: float) -> Limit:
@@ -246,8 +259,11 @@ def _gain(z_um: Float32Array, rest: Float32Array) -> float:
     return float(np.median(ratio)) if ratio.size else 0.0
 
 
-def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
-    """Return the band of the difference with its spread on surfaces as rough as at each place."""
+def _band(z_um: Float32Array, rest: Float32Array, sigma_um: Float32Array, scale_px: float) -> _Band:
+    """Return the band of the difference with its spread on surfaces as rough as at each place.
+
+    sigma_um : float32 array of shape (h, w), uncertainty of the difference beside its spread
+    """
     values = heights(rest, scale_px)
     q, p = np.gradient(blurred(z_um, 0.3 * scale_px)[0])
     steep, _ = blurred(np.asarray(p * p + q * q, np.float32), scale_px)
@@ -257,6 +273,7 @@ def _band(z_um: Float32Array, rest: Float32Array, scale_px: float) -> _Band:
         # Where it is steeper than usual the spread grows with the slope, as a shift makes it.
         steeper = np.sqrt(np.maximum(steep / max(USUAL * float(steep[known].min() + steep[known].max()), 1e-12), 1.0))
         spread = np.asarray(TO_SIGMA * float(np.median(np.abs(values[known]))) * steeper, np.float32)
+    spread = np.hypot(spread, sigma_um / np.float32(FIT_SIGMAS))
     spread = np.where(known, np.maximum(spread, np.float32(1e-6)), np.float32(np.nan))
     return _Band(scale_px, values, np.asarray(values / spread, np.float32), spread)
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from device.align import Pose
 from device.io.atomic import atomic_directory
-from device.surface import HeightMap
+from device.surface import HeightMap, MaskArray
 from host_sync.errors import ViewError
 from host_sync.registration.difference import Difference, are_copies, difference
+from host_sync.registration.fit import at_pitch, moved
 from host_sync.render.picture_file import write_any_picture
 from host_sync.render.relief_sheet import with_strip
 from host_sync.render.shading import Picture
@@ -99,7 +100,7 @@ def compared(first: ResultSurface, second: ResultSurface, near: tuple[float, flo
     if near is not None:
         pose = Pose(1e3 * near[0] / pitch_um, 1e3 * near[1] / pitch_um, float(np.radians(near[2])))
     found = difference(first.height, second.height, (first.sigma_um, second.sigma_um), near=pose)
-    changed = changes(first.height, found)
+    changed = changes(first.height, found, _untouched(first, second, found))
     known = found.sigma_um is not None and bool(np.isfinite(found.sigma_um).any())
     record = SameSpotRecord(
         first=first.record.name,
@@ -123,6 +124,15 @@ def compared(first: ResultSurface, second: ResultSurface, near: tuple[float, flo
         ),
     )
     return Comparison(record, found, pitch_um)
+
+
+def _untouched(first: ResultSurface, second: ResultSurface, found: Difference) -> MaskArray | None:
+    """Return the skin that neither press touched, bool array of the first map's shape; None where it is not known."""
+    if first.untouched is None or second.untouched is None:
+        return None
+    at_rest = at_pitch(HeightMap(second.untouched.astype(np.float32), second.height.pitch_um), first.height.pitch_um)
+    there = moved(at_rest, found.registration.pose, first.untouched.shape, 1)
+    return np.asarray(first.untouched & (there > 0.5), np.bool_)
 
 
 def write_comparison(comparison: Comparison, out: Path) -> None:

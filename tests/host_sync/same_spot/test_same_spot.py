@@ -87,6 +87,39 @@ def test_a_change_as_high_as_its_detection_limit_is_listed_with_its_sign(diamete
     assert all(-1.5 < share < -0.9 for share in listed)
 
 
+def ball_on_skin(gain: float) -> Float32Array:
+    """A cap on skin at rest that is exactly level, its relief read by some gain, with waves of 0.3 µm on the cap."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    cap = np.maximum(1.0 - ((row - 80.0) ** 2 + (column - 100.0) ** 2) / 45.0**2, 0.0)
+    waves = cv2.GaussianBlur(np.random.default_rng(6).standard_normal(SHAPE), (0, 0), 4.0)
+    return (cap * (400.0 * gain + 3.0 * waves * (gain != 1.0))).astype(np.float32)
+
+
+def test_skin_at_rest_does_not_make_errors_of_the_object_a_change() -> None:
+    first, second = ball_on_skin(1.0), ball_on_skin(1.01)
+    rest = replace(difference(*(HeightMap(z_um, PITCH_UM) for z_um in two_presses(0.0))), z_um=second - first)
+    height = HeightMap(first, PITCH_UM)
+    assert len(changes(height, rest).found) > 5
+    found = changes(height, rest, (first == 0.0) & (second == 0.0))
+    assert found.found == ()
+    assert 0.1 < found.judged_share < 0.3
+    assert found.limits[0].height_um > 1.0
+
+
+def test_where_the_object_moved_far_the_uncertainty_of_both_heights_counts() -> None:
+    first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(12.0))
+    rest = difference(first, second)
+    rest = replace(rest, sigma_um=np.full(SHAPE, 4.0, np.float32))
+    near = changes(first, rest)
+    far = changes(first, replace(rest, shift_um=(0.0, 5000.0)))
+    assert len(near.found) == 1
+    assert far.found == ()
+    assert all(one.height_um > 13.5 / 2.5 * 4.0 for one in far.limits)
+    high = changes(first, replace(rest, shift_um=(0.0, 5000.0), z_um=3.0 * rest.z_um)).found
+    assert len(high) == 1
+    assert high[0].sigma_um > 4.0 > near.found[0].sigma_um
+
+
 def test_the_command_writes_difference_sigma_picture_and_record(
     results: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
