@@ -20,6 +20,9 @@ from device.calibration.fit import InverseFit, dropped_ball
 from device.errors import DeviceError
 from device.imaging.frame_light import Brightness
 from device.inverse_map.model import MODEL_FILE, read_model, write_model
+from device.inverse_map.skin_at_rest import SkinAtRest
+from device.quick_look.resting_skin import REST_FILE, measure_rest, write_rest
+from device.quick_look.solver import quick_look_binning, quick_look_field
 from device.store.store import BundleStore
 from hal.errors import ButtonError
 from hal.frame import RawFrame
@@ -152,6 +155,7 @@ def publish(
         The disk is full; nothing is left behind.
     """
     profile = hardware.profile
+    rest = _rest_of(reference, presses, fit)
     names = [f"press-{number:02d}.tif" for number in range(len(presses))]
     record = CalibrationRecord(
         identity=store.next_identity("calibrations"),
@@ -165,7 +169,7 @@ def publish(
         pupil_height_mm=profile.pupil_height_mm,
         reference_file=REFERENCE_FILE,
         presses=tuple(_press_records(names, presses, fit, ball_radius_mm)),
-        model_files=(MODEL_FILE,),
+        model_files=(MODEL_FILE,) if rest is None else (MODEL_FILE, REST_FILE),
         figures=report_figures(fit) | Brightness.of_frames(reference, [press.frame for press in presses]).figures(),
     )
 
@@ -174,8 +178,17 @@ def publish(
         for name, press in zip(names, presses, strict=True):
             write_raw(directory / name, press.frame)
         write_model(directory / MODEL_FILE, fit.map)
+        if rest is not None:
+            write_rest(directory / REST_FILE, rest)
 
     return store.publish_calibration(record, write)
+
+
+def _rest_of(reference: RawFrame, presses: Sequence[AcceptedPress], fit: InverseFit) -> SkinAtRest | None:
+    """Return the noise of untouched skin around the balls of presses; None where the field is too small."""
+    balls = iter(fit.balls)
+    shown = [(press.frame, [next(balls) for _ in press.balls]) for press in presses]
+    return measure_rest(quick_look_field(reference), shown, quick_look_binning(reference.shape))
 
 
 def _press_records(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +140,7 @@ class ScanHealth:
             The frame's size differs from the calibration's.
         """
         binned = bin_bayer(frame, self._model.binning)
-        look = quick_look(binned, self._model)
+        look = quick_look(binned, replace(self._model, rest=None))  # no prior: flatness is what is measured
         region = self._reference.assume_untouched(look.intensity, self._shares)
         detected = self._reference.detect(look.intensity, self._shares)
         flat_um, defects = flatness_um(look.height.z_um), gel_defects(binned)

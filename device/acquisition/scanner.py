@@ -37,6 +37,7 @@ from device.imaging.flat_field import bin_bayer
 from device.imaging.frame_light import Levels, without_ambient
 from device.inverse_map.model import read_model
 from device.quality.verdict import Evidence
+from device.quick_look.resting_skin import REST_FILE, read_rest
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look, write_quick_look
 from device.store.checks import judged_check, read_checks, write_check
 from device.store.store import BundleStore
@@ -128,7 +129,8 @@ class Scanner:
         inverse_map = read_model(self._calibration.path(record.model_files[0]))
         reference = self._calibration.reference()
         self._plan = replace(self._plan, bayer_order=reference.bayer_order)
-        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um)
+        rest = read_rest(self._calibration.path(REST_FILE)) if REST_FILE in record.model_files else None
+        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um, rest)
         self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
 
     @property

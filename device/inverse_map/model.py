@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ STEEPER_THAN_BALLS: Final = 1.5
 Corners without one gave heights of 75 mm (wyh5625/gelsight, eight presses, 349 x 240 pixels of 100 µm)."""
 
 _BLOCK_ROWS: Final = 64
+ModelT = TypeVar("ModelT")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,14 +301,14 @@ _READ_ERRORS: Final = (
 """Errors of zipfile and numpy for bytes that are no model, or no longer."""
 
 
-def write_model(path: Path, inverse_map: InverseMap) -> None:
-    """Write the map so that `read_model` returns it bit for bit."""
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write named arrays so that `read_arrays` returns them bit for bit."""
     with path.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **inverse_map.arrays())
+        np.savez(stream, allow_pickle=False, **arrays)
 
 
-def read_model(path: Path) -> InverseMap:
-    """Return the inverse map in a file.
+def read_arrays(path: Path, build: Callable[[dict[str, NDArray[Any]]], ModelT]) -> ModelT:
+    """Return what `build` makes of the named arrays in a file.
 
     Raises
     ------
@@ -320,8 +321,18 @@ def read_model(path: Path) -> InverseMap:
         if unpacked_bytes > MAX_MODEL_BYTES:
             raise RecordError(f"{path}: unpacks to {unpacked_bytes / 1e6:.0f} MB, more than any model: calibrate again")
         with np.load(path, allow_pickle=False) as arrays:
-            return InverseMap.from_arrays(dict(arrays), str(path))
+            return build(dict(arrays))
     except _READ_ERRORS as error:
         if isinstance(error, RecordError):
             raise
         raise RecordError(f"{path}: holds no readable model ({error}): calibrate again") from error
+
+
+def write_model(path: Path, inverse_map: InverseMap) -> None:
+    """Write the map so that `read_model` returns it bit for bit."""
+    write_arrays(path, inverse_map.arrays())
+
+
+def read_model(path: Path) -> InverseMap:
+    """Return the inverse map in a file; errors as for `read_arrays`."""
+    return read_arrays(path, lambda arrays: InverseMap.from_arrays(arrays, str(path)))

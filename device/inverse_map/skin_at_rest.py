@@ -167,9 +167,9 @@ class SkinAtRest:
         begin = _diagonal(wide)
         found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide_offset)
         near = np.ones_like(weight)
-        levels = np.zeros((len(means), 3, 2))
+        levels, left = np.zeros((len(means), 3, 2)), means
         for _ in range(ROUNDS):
-            levels = np.stack([found._levels(*one) for one in zip(means, weight, levels, strict=True)])
+            levels = np.stack([found._levels(*one) for one in zip(left, weight, levels, strict=True)])
             left = np.where(free[..., None], means - np.stack([found._field(level) for level in levels]), 0.0)
             left = left.astype(np.float32)
             pooled = np.stack([_pooled(one, own) for one, own in zip(left, free, strict=True)])
@@ -181,8 +181,8 @@ class SkinAtRest:
                 max(GAIN_SIGMA, float(np.sqrt((levels[..., 0] ** 2).mean()))),
                 max(FRAME_OFFSET_SIGMA, float(np.sqrt((levels[..., 1] ** 2).mean()))),
             )
-            weight = np.asarray(free * (2.0 / (1.0 + _distance(left, found.covariance))), np.float64)
-            near = np.asarray(2.0 / (1.0 + _distance(pooled, found.pooled)), np.float64)
+            weight = np.asarray(free * (2.0 / (1.0 + _squared(left, found._inverse))), np.float64)
+            near = np.asarray(2.0 / (1.0 + _squared(pooled, found._pooled_inverse)), np.float64)
         return found
 
     def evidence(self, image: NormalizedImage, squares: Float32Array | None = None) -> RestEvidence:
@@ -192,13 +192,13 @@ class SkinAtRest:
         """
         size = self.covariance.shape[:2]
         logs, variance = _cell_logs(image, (size[0], size[1]), squares)
-        weight, levels = np.ones(size), np.zeros((3, 2))
+        weight, levels, left = np.ones(size, np.float32), np.zeros((3, 2)), logs
         for step in range(MAX_ROUNDS):
-            before, levels = levels, self._levels(logs, weight, levels)
+            before, levels = levels, self._levels(left, weight, levels)
             left = np.where(self._lit[..., None], logs - self._field(levels), np.float32(0.0))
             distance = np.asarray(cv2.GaussianBlur(_squared(left, self._inverse), (0, 0), 1.0), np.float32)
             wide = max(CAUCHY, float(np.median(distance[self._lit])) if step < WIDE_ROUNDS else 0.0)
-            weight = np.asarray(1.0 / (1.0 + (distance / wide) ** 2), np.float64)
+            weight = 1.0 / (1.0 + np.square(distance / np.float32(wide)))
             if wide == CAUCHY and step and np.abs(levels - before).max() < SETTLED:
                 break
         rough = cv2.GaussianBlur((variance / self.roughness).mean(axis=-1).astype(np.float32), (0, 0), 1.0)
@@ -227,47 +227,54 @@ class SkinAtRest:
         return np.asarray((self.darkness < LIT / DARK_FLOOR).all(axis=-1), np.bool_)
 
     @cached_property
-    def _inverse(self) -> Float64Array:
+    def _inverse(self) -> Float32Array:
         return _inverse_in_planes(self.covariance)
 
     @cached_property
-    def _pooled_inverse(self) -> Float64Array:
+    def _pooled_inverse(self) -> Float32Array:
         return _inverse_in_planes(self.pooled)
 
     @cached_property
-    def _contrast(self) -> Float64Array:
+    def _contrast(self) -> Float32Array:
         """Darkness of cells less its mean, shape (3, cells)."""
-        return np.ascontiguousarray((self.darkness - self._mean_darkness).reshape(-1, 3).T, np.float64)
+        return np.ascontiguousarray((self.darkness - self._mean_darkness).reshape(-1, 3).T, np.float32)
 
     @cached_property
-    def _precision(self) -> Float64Array:
+    def _precision(self) -> Float32Array:
         """Information of a cell on a level, zero where it is not lit: shape (3, cells)."""
-        variance = CELLS_ALIKE * np.einsum("...ii->i...", self.covariance).astype(np.float64)
-        return np.ascontiguousarray(self._lit.ravel() / variance.reshape(3, -1))
+        variance = CELLS_ALIKE * np.einsum("...ii->i...", self.covariance)
+        return np.ascontiguousarray(self._lit.ravel() / variance.reshape(3, -1), np.float32)
 
-    def _levels(self, logs: Float32Array, weight: Float64Array, start: Float64Array) -> Float64Array:
-        """Return levels (3, 2) of cells' log intensity (h, w, 3) by one Gauss-Newton step from others.
+    def _levels(self, residual: Float32Array, weight: NDArray[Any], start: Float64Array) -> Float64Array:
+        """Return levels (3, 2) of cells' log intensity by one Gauss-Newton step from others.
 
         A level is the logarithm of a channel's light where its reference has its mean darkness, and the offset over
-        that light.
+        that light. The residual (h, w, 3) is what the others leave of the log intensity.
         """
-        light = np.maximum(1.0 + start[:, 1:] * self._contrast, LEAST_LIGHT)
-        left = np.ascontiguousarray(logs.reshape(-1, 3).T) - start[:, :1] - np.log(light)
+        light = self._offset_light(start)
+        left = np.ascontiguousarray(residual.reshape(-1, 3).T)
         answer, weighted = self._contrast / light, self._precision * weight.ravel()
         moved = weighted * answer
         sigma = np.array([self.gain_sigma, self.offset_sigma])
         prior = 1.0 / (sigma**2 + np.square(start / OUTLYING))
-        one, once, twice = weighted.sum(axis=1) + prior[:, 0], moved.sum(axis=1), (moved * answer).sum(axis=1)
+        one, once = weighted.sum(axis=1) + prior[:, 0], moved.sum(axis=1)
+        twice, level, slope = (
+            np.einsum("ij,ij->i", *two) for two in ((moved, answer), (weighted, left), (moved, left))
+        )
         twice += prior[:, 1]
-        level, slope = (weighted * left).sum(axis=1), (moved * left).sum(axis=1)
         level, slope = level - prior[:, 0] * start[:, 0], slope - prior[:, 1] * start[:, 1]
         steps = np.stack([twice * level - once * slope, one * slope - once * level], axis=-1)
         return np.asarray(start + steps / (one * twice - once**2)[:, None])
 
     def _field(self, levels: Float64Array) -> Float32Array:
         """Return the log intensity (h, w, 3) of untouched skin under levels (3, 2)."""
-        light = np.maximum(1.0 + levels[:, 1:] * self._contrast, LEAST_LIGHT)
-        return np.asarray((levels[:, :1] + np.log(light)).T.reshape(self.darkness.shape), np.float32)
+        log_light = levels[:, :1].astype(np.float32) + np.log(self._offset_light(levels))
+        return np.asarray(log_light.T.reshape(self.darkness.shape), np.float32)
+
+    def _offset_light(self, levels: Float64Array) -> Float32Array:
+        """Return the light of untouched skin (3, cells) under offsets, over that of mean darkness."""
+        light = np.float32(1.0) + levels[:, 1:].astype(np.float32) * self._contrast
+        return np.asarray(np.maximum(light, np.float32(LEAST_LIGHT)), np.float32)
 
     def _light(self, levels: Float64Array, left: Float32Array, resting: MaskArray) -> FrameLight:
         """Return the light of a frame with these levels (3, 2), as far as they exceed their uncertainty.
@@ -323,24 +330,19 @@ def _pooled(left: Float32Array, free: MaskArray) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(known, (0, 0), POOLED_CELLS) / share[..., None], np.float32)
 
 
-def _distance(left: Float32Array, covariance: Float32Array) -> Float32Array:
-    """Return the squared Mahalanobis distance a channel of values (..., h, w, 3)."""
-    return _squared(left, _inverse_in_planes(covariance))
-
-
-def _inverse_in_planes(covariance: Float32Array) -> Float64Array:
+def _inverse_in_planes(covariance: Float32Array) -> Float32Array:
     """Return the inverse of matrices (h, w, 3, 3), each of their components contiguous in memory."""
     components = np.moveaxis(np.linalg.inv(covariance.astype(np.float64)), (-2, -1), (0, 1))
-    return np.moveaxis(np.ascontiguousarray(components), (0, 1), (-2, -1))
+    return np.moveaxis(np.ascontiguousarray(components, np.float32), (0, 1), (-2, -1))
 
 
-def _squared(left: Float32Array, precision: Float64Array) -> Float32Array:
-    """Return `_distance` by the inverse of the covariance."""
+def _squared(left: Float32Array, precision: Float32Array) -> Float32Array:
+    """Return the squared Mahalanobis distance a channel of values (..., h, w, 3) by the inverse of their covariance."""
     one, two, three = np.moveaxis(left, -1, 0)
     by_one, by_two, by_three = np.moveaxis(precision, (-2, -1), (0, 1))
-    total = one * (by_one[0] * one + 2.0 * (by_one[1] * two + by_one[2] * three))
-    total += two * (by_two[1] * two + 2.0 * by_two[2] * three) + by_three[2] * three**2
-    return np.asarray(total / 3.0, np.float32)
+    total = one * (by_one[0] * one + np.float32(2.0) * (by_one[1] * two + by_one[2] * three))
+    total += two * (by_two[1] * two + np.float32(2.0) * by_two[2] * three) + by_three[2] * (three * three)
+    return np.asarray(total / np.float32(3.0), np.float32)
 
 
 def _shrink(square: Float32Array, threshold: float) -> Float32Array:

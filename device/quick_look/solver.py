@@ -12,7 +12,9 @@ import tifffile
 
 from device.imaging.flat_field import LinearFrame, NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap
+from device.inverse_map.skin_at_rest import SkinAtRest
 from device.inverse_map.tabulated import TabulatedInverseMap
+from device.quick_look.resting_skin import RestingSkin
 from device.surface import Float32Array, GradientField, HeightMap, integrate_dct, surface_slopes
 from hal.frame import RawFrame
 
@@ -28,26 +30,34 @@ class QuickLookModel:
     flat_field : float32 array of shape (H / binning, W / binning, 3), the blurred reference
     slopes : the inverse map, tabulated
     pitch_um : distance of neighbouring sensor pixels on the skin, µm
+    rest : noise of untouched skin; None where skin is not taken to rest, as in calibrations of before
     """
 
     binning: int
     flat_field: Float32Array
     slopes: TabulatedInverseMap
     pitch_um: float
+    rest: SkinAtRest | None = None
 
     @classmethod
-    def prepare(cls, reference: RawFrame, inverse_map: InverseMap, pitch_um: float) -> QuickLookModel:
-        """Return the model of a calibration's reference frame and inverse map."""
+    def prepare(
+        cls, reference: RawFrame, inverse_map: InverseMap, pitch_um: float, rest: SkinAtRest | None = None
+    ) -> QuickLookModel:
+        """Return the model of a calibration's reference frame, inverse map and noise of untouched skin."""
         binning = quick_look_binning(reference.shape)
-        flat_field = make_flat_field(bin_bayer(reference, binning))
+        flat_field = quick_look_field(reference)
         # Three planes, as a binned frame is: arithmetic between like layouts is several times as fast.
         planar = np.moveaxis(np.ascontiguousarray(np.moveaxis(flat_field, -1, 0)), 0, -1)
-        return cls(binning, planar, TabulatedInverseMap.of(inverse_map, binning), pitch_um)
+        return cls(binning, planar, TabulatedInverseMap.of(inverse_map, binning), pitch_um, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuickLook:
-    """A reduced height map with what it was made from; height pitch is the sensor's times the binning."""
+    """A reduced height map with what it was made from; height pitch is the sensor's times the binning.
+
+    height : zero on skin at rest where that is seen, else of zero mean
+    gradients : as estimated, without the prior of skin at rest
+    """
 
     height: HeightMap
     gradients: GradientField
@@ -62,6 +72,11 @@ def quick_look_binning(shape: tuple[int, int]) -> int:
     return binning
 
 
+def quick_look_field(reference: RawFrame) -> Float32Array:
+    """Return the flat field of quick looks, float32 array of shape (H / binning, W / binning, 3)."""
+    return make_flat_field(bin_bayer(reference, quick_look_binning(reference.shape)))
+
+
 def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     """Return the quick look of a frame that was binned by `model.binning`.
 
@@ -74,8 +89,13 @@ def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     gradients = model.slopes.gradients(intensity)
     # The DCT has no weights: where the map has no confidence the skin is taken as flat. Tabulated slopes are finite.
     trusted = np.minimum(np.float32(2.0) * gradients.weight, np.float32(1.0))
+    rest = None if model.rest is None else RestingSkin.of(intensity, model.rest)
+    if rest is not None:
+        trusted *= rest.kept_slopes(trusted.shape)
     pitch_um = model.pitch_um * model.binning
     z_um = integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um)
+    if rest is not None:
+        z_um = rest.levelled(z_um)
     return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)
 
 

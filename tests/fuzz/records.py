@@ -24,6 +24,7 @@ with atheris.instrument_imports(include=["device", "host_sync", "tifffile", "num
     from device.errors import DeviceError
     from device.inverse_map.model import read_model
     from device.pairing import Answer, Call, DeviceCard, HostCard, Opening
+    from device.quick_look.resting_skin import read_rest
     from device.store.device_id import DeviceState
     from device.store.registry_file import ActiveCalibration
     from host_sync.errors import HostError
@@ -53,6 +54,7 @@ def readers(folder: Path) -> tuple[Callable[[bytes], object], ...]:
         from_file(lambda path: read_raw(path, SHAPE)),
         from_file(read_model),
         lambda data: decode_record(data, SMALL[len(data) % len(SMALL)], "record"),
+        from_file(read_rest),
     )
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import bin_bayer, flat_field_correct
 from device.inverse_map.model import InverseMap
-from device.quick_look.solver import QuickLookModel, quick_look
+from device.quick_look.resting_skin import RestingSkin, measure_rest
+from device.quick_look.solver import QuickLookModel, quick_look, quick_look_binning, quick_look_field
 from device.surface import Float32Array, Float64Array, GradientField, integrate_dct
 from tests.benchmarks.speed.fresh import fresh
 from tests.benchmarks.speed.height_error import error_share
@@ -46,7 +47,8 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     frame = read_raw(folder / f"coin-{named(shape)}.tif")
     reference = read_raw(folder / f"reference-{named(shape)}.tif")
     tabled = replace(inverse_map, near=None, light=None)  # the curve of intensity, which alone the handheld fits
-    model = QuickLookModel.prepare(reference, tabled, pitch_um=1.0)
+    rest = measure_rest(quick_look_field(reference), [], quick_look_binning(reference.shape))
+    model = QuickLookModel.prepare(reference, tabled, pitch_um=1.0, rest=rest)
     binned = bin_bayer(frame, model.binning)
     intensity = flat_field_correct(binned, model.flat_field)
     slopes = model.slopes.gradients(intensity)
@@ -55,6 +57,7 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
         "bin": lambda: bin_bayer(frame, model.binning),
         "intensity": lambda: flat_field_correct(binned, model.flat_field),
         "look up": lambda: model.slopes.gradients(intensity),
+        "skin at rest": lambda: rest and RestingSkin.of(intensity, rest),
         "integrate": lambda: integrate_dct(slopes.p, slopes.q, 1.0),
         "untabulated map": lambda: tabled.gradients(intensity, model.binning),
         "build the tables": lambda: QuickLookModel.prepare(reference, tabled, pitch_um=1.0),

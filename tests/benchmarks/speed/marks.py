@@ -210,7 +210,7 @@ MARKS = (
          "at least", 1.7, _batch),
     Mark("cluster_over_pool", 6, "the same by two workers of a dask cluster over two processes", "at least", 0.9,
          lambda f: _at(f, "two workers", "batch", "cluster_over_pool")),
-    Mark("handheld_ms", 7, "handheld: 2028x1520 counts to the quick look's heights on one core, ms", "at most", 12.0,
+    Mark("handheld_ms", 7, "handheld: 2028x1520 counts to the quick look's heights on one core, ms", "at most", 14.0,
          lambda f: _first(_at(f, "handheld"))["total"]["min_ms"], _look_is_right),
     Mark("cost_unweighted", 8, "time per pixel at 12 MP over that at 1.6 MP: full rectangle", "at most", 1.3,
          _per_pixel(("integration", "unweighted", "ours"), ("integration", "unweighted, small", "ours"))),

@@ -176,7 +176,7 @@ def test_a_press_that_does_not_show_the_standard_is_refused_and_is_no_failure(
     assert not calibrated.scans().bundles
 
 
-@pytest.mark.parametrize("dimmed", [{"green": 0.9}, {"red": 0.8}, {"blue": 1.2}])
+@pytest.mark.parametrize("dimmed", [{"green": 0.8}, {"red": 1.4}, {"blue": 1.2}])
 def test_a_standard_that_drifted_light_hides_is_a_failed_check(
     bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, dimmed: dict[str, float]
 ) -> None:
