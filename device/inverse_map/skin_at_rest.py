@@ -86,7 +86,8 @@ ROUGHNESS_SHRINKAGE: Final = 2.0
 """Shrinkage threshold of the variance within a cell, relative to that of untouched skin."""
 
 RESTING: Final = 0.1
-"""Cells whose slopes keep less than this are at rest."""
+CALM: Final = 0.3
+"""Cells whose slopes keep less than this are at rest, and calm: connected calm cells rest at one height."""
 
 MIN_RESTING: Final = 0.02
 """Fraction of a field's cells that must be at rest for the field to have a zero."""
@@ -163,9 +164,8 @@ class SkinAtRest:
         free = np.stack([own for _, own in shown]) & (darkness < LIT / DARK_FLOOR).all(axis=-1)
         means, variances = (np.stack([logs[part] for logs, _ in shown]) for part in (0, 1))
         weight = free.astype(np.float64)
-        wide_offset = UNKNOWN_SIGMA / float(darkness.mean())
         begin = _diagonal(wide)
-        found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, wide_offset)
+        found = cls(begin, begin, darkness, darkness, UNKNOWN_SIGMA, UNKNOWN_SIGMA / float(darkness.mean()))
         near = np.ones_like(weight)
         levels, left = np.zeros((len(means), 3, 2)), means
         for _ in range(ROUNDS):
@@ -391,7 +391,7 @@ def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
 
 def _hanging_together(kept: Float32Array) -> Float32Array:
     """Return `kept`, 1 where calm cells neither reach the border nor are many: a ball's top has no slope either."""
-    calm = (kept < 0.3).astype(np.uint8)
+    calm = (kept < CALM).astype(np.uint8)
     _, labels = cv2.connectedComponents(calm, connectivity=4)
     edge = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     share = np.bincount(labels.ravel()) / labels.size

@@ -1,28 +1,26 @@
 """Skin at rest in quick looks: its noise from frame to frame, as the calibration's presses show it, and its level.
 
-Slopes of untouched skin are noise, and slopes of the free skin around an object do not close: without
-this prior, an object stands in a bowl. Slopes shrink towards zero where light is that of skin at rest (see
-`device.inverse_map.skin_at_rest`). What is left of height along one connected part of such skin is spread smoothly over
-the rest of the field and subtracted. Parts that do not connect, such as the two sides of a step, keep their distance.
+Without this prior an object stands in a bowl. Slopes shrink towards zero where light is that of skin at rest (see
+`device.inverse_map.skin_at_rest`); the cosine transform has no weights, but `rest_level` levels what is left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from device.balls.sphere import Ball
 from device.errors import RecordError
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct
 from device.inverse_map.model import read_arrays, write_arrays
-from device.inverse_map.skin_at_rest import MIN_CELLS, RESTING, SkinAtRest
+from device.inverse_map.rest_level import rest_height
+from device.inverse_map.skin_at_rest import MIN_CELLS, SkinAtRest
 from device.surface import Float32Array, MaskArray
 from hal.frame import RawFrame
 
@@ -31,37 +29,20 @@ _COARSER: Final = 2
 """Side in quick-look pixels of a pixel of the image in which skin at rest is found, for a quarter of the time."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestingSkin:
-    """Skin at rest in a frame.
+def kept_slopes(intensity: NormalizedImage, noise: SkinAtRest) -> Float32Array | None:
+    """Return the fraction of its slope that each cell of a quick look keeps; None where too little skin is at rest."""
+    evidence = noise.evidence(_coarse(intensity))
+    return evidence.kept if evidence.has_rest else None
 
-    kept : float32 array of shape (h, w), fraction of its slope that a cell keeps
-    """
 
-    kept: Float32Array
+def levelled(z_um: Float32Array, kept: Float32Array) -> Float32Array:
+    """Return heights (H, W) that are level and zero on skin at rest, by the fractions that cells keep."""
+    return np.asarray(z_um - enlarged(rest_height(_coarser(z_um), kept), z_um.shape), np.float32)
 
-    @classmethod
-    def of(cls, intensity: NormalizedImage, noise: SkinAtRest) -> RestingSkin | None:
-        """Return the skin at rest in a quick look's intensity; None where too little of it is seen."""
-        evidence = noise.evidence(_coarse(intensity))
-        return cls(evidence.kept) if evidence.has_rest else None
 
-    def kept_slopes(self, shape: tuple[int, ...]) -> Float32Array:
-        """Return the fraction of its slope that each pixel keeps, float32 array of `shape` (H, W)."""
-        return np.asarray(cv2.resize(self.kept, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-    def levelled(self, z_um: Float32Array) -> Float32Array:
-        """Return heights (H, W) that are level along each connected part of skin at rest, and zero on the largest."""
-        resting = self.kept < RESTING
-        cells_um = np.asarray(
-            cv2.resize(_coarser(z_um), self.kept.shape[::-1], interpolation=cv2.INTER_AREA), np.float32
-        )
-        labels, parts = ndimage.label(resting)
-        level_um = np.asarray(ndimage.mean(cells_um, labels, np.arange(parts + 1)), np.float32)
-        largest = 1 + int(np.bincount(labels[resting])[1:].argmax())
-        off_um = _spread(np.where(resting, cells_um - level_um[labels], np.float32(0.0)), resting.astype(np.float32))
-        off_um += level_um[largest]
-        return np.asarray(z_um - cv2.resize(off_um, z_um.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+def enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+    """Return cells over the field at each of its pixels, float32 array of `shape` (H, W)."""
+    return np.asarray(cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def measure_rest(
@@ -148,18 +129,3 @@ def _scaled(ball: Ball, scale: int) -> Ball:
         (ball.column + 0.5) / scale - 0.5, (ball.row + 0.5) / scale - 0.5, ball.contact_radius_px / scale,
         ball.radius_px / scale,
     )  # fmt: skip
-
-
-def _spread(values: Float32Array, known: Float32Array) -> Float32Array:
-    """Return values (h, w) that continue smoothly from where they are known; `known` is their weight, 0 to 1.
-
-    Means over ever coarser cells fill what is not known: an approximation of the solution of Laplace's equation.
-    """
-    if min(values.shape) < 2:
-        return np.full_like(values, (values * known).sum() / max(float(known.sum()), 1e-9))
-    size = ((values.shape[1] + 1) // 2, (values.shape[0] + 1) // 2)
-    weight = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_AREA), np.float32)
-    mean = cv2.resize(values * known, size, interpolation=cv2.INTER_AREA) / np.maximum(weight, np.float32(1e-6))
-    coarser = _spread(np.asarray(mean, np.float32), np.minimum(np.float32(2.0) * weight, np.float32(1.0)))
-    wide = cv2.resize(coarser, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(known * values + (np.float32(1.0) - known) * wide, np.float32)

@@ -14,7 +14,7 @@ from device.imaging.flat_field import LinearFrame, NormalizedImage, bin_bayer, f
 from device.inverse_map.model import InverseMap
 from device.inverse_map.skin_at_rest import SkinAtRest
 from device.inverse_map.tabulated import TabulatedInverseMap
-from device.quick_look.resting_skin import RestingSkin
+from device.quick_look.resting_skin import enlarged, kept_slopes, levelled
 from device.surface import Float32Array, GradientField, HeightMap, integrate_dct, surface_slopes
 from hal.frame import RawFrame
 
@@ -89,13 +89,13 @@ def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     gradients = model.slopes.gradients(intensity)
     # The DCT has no weights: where the map has no confidence the skin is taken as flat. Tabulated slopes are finite.
     trusted = np.minimum(np.float32(2.0) * gradients.weight, np.float32(1.0))
-    rest = None if model.rest is None else RestingSkin.of(intensity, model.rest)
-    if rest is not None:
-        trusted *= rest.kept_slopes(trusted.shape)
+    kept = None if model.rest is None else kept_slopes(intensity, model.rest)
+    if kept is not None:
+        trusted *= enlarged(kept, trusted.shape)
     pitch_um = model.pitch_um * model.binning
     z_um = integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um)
-    if rest is not None:
-        z_um = rest.levelled(z_um)
+    if kept is not None:
+        z_um = levelled(z_um, kept)
     return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)
 
 

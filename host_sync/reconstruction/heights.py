@@ -12,6 +12,7 @@ import numpy as np
 
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
+from device.inverse_map.rest_level import rest_height
 from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
@@ -64,7 +65,10 @@ class RestingSlopes:
     def integrate(self, slopes: GradientField | None = None) -> tuple[HeightMap, IntegrationReport]:
         """Return the heights of slopes over pixels, by default its own, and the report of the solver."""
         solve = integrate_forward_difference if self.is_papers else integrate
-        return solve(self.over_pixels if slopes is None else slopes, self.pitch_um)
+        height, report = solve(self.over_pixels if slopes is None else slopes, self.pitch_um)
+        if self.prior is not None:
+            self.prior.level(height.z_um)
+        return height, report
 
     def integrate_detail(self, raw: GradientField, height: HeightMap) -> tuple[GradientField, HeightMap]:
         """Return raw slopes with the same prior over the pixels of a known height map, and their heights."""
@@ -185,17 +189,16 @@ def _write_sum(
             difference[r, c] = z_um if known[r, c] > np.float32(0.0) else np.float32(np.nan)
 
 
-# The prior that skin rests where light shows no slope, as weights and shrinkage of a frame's slopes.
+# The prior that skin rests where light shows no slope, as weights and shrinkage of a frame's slopes and as its level.
 #
-# Slopes of skin at rest are known far better than slopes of touched skin: there the membrane is flat. Between an object
-# and skin at rest the skin is free. Balls show slopes only where the skin touches them, high above rest, so that slopes
-# of lower skin are extrapolated in elevation: near lights reach it at another angle, and the object shades it. On seven
-# real sensors the slopes around a ball do not close (their mean over a ring is up to 0.2), those on it do. Information
-# therefore rises with elevation, and what does not close is spread over the free skin instead of the object.
+# Skin at rest is level and lies at one height: what heights show there is error. Between an object and skin at rest the
+# skin is free. Balls show slopes only where the skin touches them, high above rest, so that slopes of lower skin are
+# extrapolated in elevation: near lights reach it at another angle, and the object shades it. On seven real sensors the
+# slopes around a ball do not close (their mean over a ring is up to 0.2), those on it do. Information therefore rises
+# with elevation, and what does not close is spread over the free skin instead of the object.
 
-REST_INFORMATION: Final = 100.0
 FREE_INFORMATION: Final = 0.1
-"""Weight of a slope of skin at rest and of free skin, relative to that of skin in contact."""
+"""Weight of a slope of free skin, relative to that of skin in contact."""
 
 FREE_BELOW: Final = 0.2
 CONTACT_ABOVE: Final = 0.6
@@ -227,19 +230,17 @@ class RestPrior:
         resting = kept < RESTING
         if resting.mean() < MIN_RESTING:
             return None
-        at_rest = (np.float32(1.0) - kept) ** 4
-        weight = np.float32(1.0) + np.float32(REST_INFORMATION - 1.0) * at_rest
+        level = np.ones(kept.shape, np.float32)
         p, q = (kept * _cell_means(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
-        field = GradientField(p, q, np.ones(kept.shape, np.bool_), weight)
-        z = integrate(field, 1.0)[0].z_um
-        z -= np.median(z[resting])
+        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), level), 1.0)[0].z_um
+        z -= rest_height(z, kept)
         highest = float(np.percentile(z, HIGHEST_PERCENT))
         if highest <= 0.0:
-            return cls(kept, weight)
+            return cls(kept, level)
         rise = np.clip((z / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
         contact = rise * rise * (3.0 - 2.0 * rise)
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
-        return cls(kept, np.asarray(weight * information, np.float32))
+        return cls(kept, np.asarray(information, np.float32))
 
     @property
     def resting(self) -> float:
@@ -249,6 +250,11 @@ class RestPrior:
     def apply(self, gradients: GradientField) -> None:
         """Shrink and weight slopes (H, W) in place."""
         parallel_rows(self._apply_rows, gradients.p.shape, gradients.p, gradients.q, gradients.weight)
+
+    def level(self, height: Float32Array) -> None:
+        """Level heights (H, W) in place, so that skin at rest is level and zero on its largest part."""
+        error = rest_height(height, self.kept)
+        parallel_rows(_take_off_rows, height.shape, height, error)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:
         """True where skin is at rest: bool array of `shape` (H, W)."""
@@ -261,6 +267,11 @@ class RestPrior:
         p[rows] *= kept
         q[rows] *= kept
         weight[rows] *= factor
+
+
+def _take_off_rows(height: Float32Array, cells: Float32Array, first: int, last: int) -> None:
+    """Subtract cells over the field from the rows `first` to `last` - 1 of heights."""
+    height[first:last] -= _rows_of(cells, height.shape, first, last)
 
 
 def _cell_means(slope: Float32Array, valid: MaskArray, size: tuple[int, ...]) -> Float32Array:

@@ -234,6 +234,8 @@ class FrameSolver:
             parallel_rows(_zero_invalid, self.shape, gradients.p, gradients.q, gradients.valid)
             gradients = replace(full_rectangle(gradients.p, gradients.q), valid=self._all_valid)
         self._integrator.integrate(gradients, self.pitch_um, out=out, tolerance_px=TOLERANCE_PX)
+        if reading.prior is not None:
+            reading.prior.level(out)
         coarse = self._coarse_heights(out)
         datum = self._datum(coarse, reading)
         unlit = [] if datum.is_relative else check_datum(_subsample(image, self._apart), datum.skin, self._gain_sigma)

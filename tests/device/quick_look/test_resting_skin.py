@@ -11,7 +11,7 @@ from device.errors import RecordError
 from device.imaging.flat_field import LinearFrame, bin_bayer
 from device.inverse_map.model import MODEL_FILE, read_model
 from device.inverse_map.skin_at_rest import SkinAtRest
-from device.quick_look.resting_skin import REST_FILE, RestingSkin, read_rest, write_rest
+from device.quick_look.resting_skin import REST_FILE, levelled, read_rest, write_rest
 from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
 from device.store.registry_file import read_active
 from hal.frame import RawFrame
@@ -73,7 +73,7 @@ def test_the_two_sides_of_a_step_keep_their_distance() -> None:
     step_um = np.float32(150.0) * np.clip((column - 120.0) / 16.0, 0.0, 1.0)
     kept = np.zeros(CELLS, np.float32)
     kept[:, 28:36] = 1.0
-    z_um = RestingSkin(kept).levelled((step_um + 0.05 * bowl_um).astype(np.float32))
+    z_um = levelled((step_um + 0.05 * bowl_um).astype(np.float32), kept)
     lower, upper = z_um[:, :104], z_um[:, 152:]
     assert np.percentile(np.abs(lower - np.median(lower)), 95) < 0.3
     assert np.median(upper) - np.median(lower) == pytest.approx(150.0, abs=1.0)
@@ -85,7 +85,7 @@ def test_what_skin_at_rest_shows_is_taken_off_the_object_smoothly() -> None:
     ball_um = np.maximum(300.0 - 0.2 * away**2, 0.0).astype(np.float32)
     bowl_um = (40.0 + 0.3 * column + 0.1 * row).astype(np.float32)
     cells_away = np.hypot(*(np.mgrid[: CELLS[0], : CELLS[1]] * 4.0 + 1.5 - np.array([96.0, 128.0])[:, None, None]))
-    z_um = RestingSkin((cells_away < 44.0).astype(np.float32)).levelled(ball_um + bowl_um)
+    z_um = levelled(ball_um + bowl_um, (cells_away < 44.0).astype(np.float32))
     assert np.abs(z_um[away > 60.0]).max() < 3.0
     assert np.abs(z_um - ball_um).max() < 12.0
 
