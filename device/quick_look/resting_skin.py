@@ -1,7 +1,7 @@
 """Skin at rest in quick looks: its noise from frame to frame, as the calibration's presses show it, and its level.
 
 Without this prior an object stands in a bowl. Slopes shrink towards zero where light is that of skin at rest (see
-`device.inverse_map.skin_at_rest`); the cosine transform has no weights, but `rest_level` levels what is left.
+`device.inverse_map.skin_at_rest`); the cosine transform has no weights, but `rest_height` levels what is left.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from device.balls.sphere import Ball
 from device.errors import RecordError
 from device.imaging.flat_field import NormalizedImage, bin_bayer, flat_field_correct
 from device.inverse_map.model import read_arrays, write_arrays
-from device.inverse_map.rest_level import rest_height
-from device.inverse_map.skin_at_rest import MIN_CELLS, SkinAtRest
+from device.inverse_map.rest_height import enlarged, rest_height
+from device.inverse_map.skin_at_rest import MIN_CELLS, MIN_RESTING, RestEvidence, SkinAtRest
 from device.surface import Float32Array, MaskArray
 from hal.frame import RawFrame
 
@@ -29,20 +29,15 @@ _COARSER: Final = 2
 """Side in quick-look pixels of a pixel of the image in which skin at rest is found, for a quarter of the time."""
 
 
-def kept_slopes(intensity: NormalizedImage, noise: SkinAtRest) -> Float32Array | None:
-    """Return the fraction of its slope that each cell of a quick look keeps; None where too little skin is at rest."""
+def skin_at_rest(intensity: NormalizedImage, noise: SkinAtRest) -> RestEvidence | None:
+    """Return where a quick look shows skin at rest; None where that is too little."""
     evidence = noise.evidence(_coarse(intensity))
-    return evidence.kept if evidence.has_rest else None
+    return evidence if evidence.fraction >= MIN_RESTING else None
 
 
-def levelled(z_um: Float32Array, kept: Float32Array) -> Float32Array:
-    """Return heights (H, W) that are level and zero on skin at rest, by the fractions that cells keep."""
-    return np.asarray(z_um - enlarged(rest_height(_coarser(z_um), kept), z_um.shape), np.float32)
-
-
-def enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-    """Return cells over the field at each of its pixels, float32 array of `shape` (H, W)."""
-    return np.asarray(cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+def levelled(z_um: Float32Array, rest: RestEvidence) -> Float32Array:
+    """Return heights (H, W) that are level on skin at rest, and zero on its largest part."""
+    return np.asarray(z_um - enlarged(rest_height(_coarser(z_um), rest.kept, rest.lit), z_um.shape), np.float32)
 
 
 def measure_rest(

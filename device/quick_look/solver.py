@@ -12,9 +12,10 @@ import tifffile
 
 from device.imaging.flat_field import LinearFrame, NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap
+from device.inverse_map.rest_height import enlarged
 from device.inverse_map.skin_at_rest import SkinAtRest
 from device.inverse_map.tabulated import TabulatedInverseMap
-from device.quick_look.resting_skin import enlarged, kept_slopes, levelled
+from device.quick_look.resting_skin import levelled, skin_at_rest
 from device.surface import Float32Array, GradientField, HeightMap, integrate_dct, surface_slopes
 from hal.frame import RawFrame
 
@@ -30,7 +31,7 @@ class QuickLookModel:
     flat_field : float32 array of shape (H / binning, W / binning, 3), the blurred reference
     slopes : the inverse map, tabulated
     pitch_um : distance of neighbouring sensor pixels on the skin, µm
-    rest : noise of untouched skin; None where skin is not taken to rest, as in calibrations of before
+    rest : noise of untouched skin; None where the calibration measured none
     """
 
     binning: int
@@ -89,13 +90,13 @@ def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     gradients = model.slopes.gradients(intensity)
     # The DCT has no weights: where the map has no confidence the skin is taken as flat. Tabulated slopes are finite.
     trusted = np.minimum(np.float32(2.0) * gradients.weight, np.float32(1.0))
-    kept = None if model.rest is None else kept_slopes(intensity, model.rest)
-    if kept is not None:
-        trusted *= enlarged(kept, trusted.shape)
+    rest = None if model.rest is None else skin_at_rest(intensity, model.rest)
+    if rest is not None:
+        trusted *= enlarged(rest.kept, trusted.shape)
     pitch_um = model.pitch_um * model.binning
     z_um = integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um)
-    if kept is not None:
-        z_um = levelled(z_um, kept)
+    if rest is not None:
+        z_um = levelled(z_um, rest)
     return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)
 
 

@@ -72,7 +72,7 @@ def video(
     sigma
         Also find the uncertainty of heights, for the ± of the contact's depth, area and centre.
     slip
-        Also follow marks on the skin in the contact, within a fifth of their way; where it has none, its texture, up
+        Also follow marks on the skin in the contact, with an error of up to 20 %; where it has none, its texture, up
         to half too short.
     force
         Also solve frames that do not fit the calibration.

@@ -12,7 +12,7 @@ import numpy as np
 
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
-from device.inverse_map.rest_level import rest_height
+from device.inverse_map.rest_height import enlarged, rest_height
 from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
 from device.surface import Float32Array, GradientField, HeightMap, MaskArray
 from hal.frame import RawFrame
@@ -212,10 +212,12 @@ class RestPrior:
     """Shrinkage and weights of slopes, in cells over the field.
 
     kept : float32 array of shape (h, w), fraction of a slope that remains
+    lit : bool array of shape (h, w), as of `RestEvidence`
     weight : float32 array of shape (h, w), factor of a slope's weight
     """
 
     kept: Float32Array
+    lit: MaskArray
     weight: Float32Array
 
     @classmethod
@@ -230,17 +232,18 @@ class RestPrior:
         resting = kept < RESTING
         if resting.mean() < MIN_RESTING:
             return None
-        level = np.ones(kept.shape, np.float32)
-        p, q = (kept * _cell_means(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
-        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), level), 1.0)[0].z_um
-        z -= rest_height(z, kept)
+        lit = np.all([one.lit for one in evidence], axis=0)
+        even = np.ones(kept.shape, np.float32)
+        p, q = (kept * _mean_slopes(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
+        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even), 1.0)[0].z_um
+        z -= rest_height(z, kept, lit)
         highest = float(np.percentile(z, HIGHEST_PERCENT))
         if highest <= 0.0:
-            return cls(kept, level)
+            return cls(kept, lit, even)
         rise = np.clip((z / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
         contact = rise * rise * (3.0 - 2.0 * rise)
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
-        return cls(kept, np.asarray(information, np.float32))
+        return cls(kept, lit, np.asarray(information, np.float32))
 
     @property
     def resting(self) -> float:
@@ -253,12 +256,12 @@ class RestPrior:
 
     def level(self, height: Float32Array) -> None:
         """Level heights (H, W) in place, so that skin at rest is level and zero on its largest part."""
-        error = rest_height(height, self.kept)
+        error = rest_height(height, self.kept, self.lit)
         parallel_rows(_take_off_rows, height.shape, height, error)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:
         """True where skin is at rest: bool array of `shape` (H, W)."""
-        return np.asarray(_enlarged(self.kept, shape) < RESTING, np.bool_)
+        return np.asarray(enlarged(self.kept, shape) < RESTING, np.bool_)
 
     def _apply_rows(self, p: Float32Array, q: Float32Array, weight: Float32Array, first: int, last: int) -> None:
         """Shrink and weight the rows `first` to `last` - 1."""
@@ -274,14 +277,10 @@ def _take_off_rows(height: Float32Array, cells: Float32Array, first: int, last: 
     height[first:last] -= _rows_of(cells, height.shape, first, last)
 
 
-def _cell_means(slope: Float32Array, valid: MaskArray, size: tuple[int, ...]) -> Float32Array:
+def _mean_slopes(slope: Float32Array, valid: MaskArray, size: tuple[int, ...]) -> Float32Array:
     """Return the mean slopes of cells, shape `size`, where invalid pixels count as level."""
     known = slope if valid.all() else np.where(valid, slope, np.float32(0.0))
     return np.asarray(cv2.resize(known, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-    return np.asarray(cv2.resize(cells, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _rows_of(cells: Float32Array, shape: tuple[int, ...], first: int, last: int) -> Float32Array:

@@ -198,8 +198,8 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
     gain = _gain(z_um, rest)
     background = blurred(z_um, BACKGROUND_PX)[0]
     rest = rest - np.float32(gain) * (z_um - background)
-    widest_um = WIDTH_TO_DIAMETER * SCALES_PX[-1] * first.pitch_um * step
-    sigma_um = _small(_independent_sigma(found, widest_um), step, size)
+    apart = found.sigma_um is not None and is_elsewhere(first, found)
+    sigma_um = _small(found.sigma_um, step, size) if found.sigma_um is not None and apart else np.zeros_like(rest)
     bands = [_band(z_um, rest, sigma_um, scale) for scale in SCALES_PX]
     highest = max(
         (float(np.nanmax(np.abs(band.score))) for band in bands if np.isfinite(band.score).any()), default=0.0
@@ -220,11 +220,13 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
     return Changes(tuple(listed), limits, judged, highest, gain)
 
 
-def _independent_sigma(found: Difference, widest_um: float) -> Float32Array:
-    """Return the uncertainty (H, W) of a difference; 0 where the object hardly moved, as both heights err alike."""
-    if found.sigma_um is None or np.hypot(*found.shift_um) <= widest_um:
-        return np.zeros_like(found.z_um)
-    return found.sigma_um
+def is_elsewhere(first: HeightMap, found: Difference) -> bool:
+    """Return whether the object lies farther from its first place than the widest change, so that heights err apart."""
+    rows, columns = first.z_um.shape
+    step = max(1, -(-max(rows, columns) // MAX_PX))
+    turned_um = abs(float(np.radians(found.turn_deg))) * 0.5 * float(np.hypot(rows, columns)) * first.pitch_um
+    widest_um = WIDTH_TO_DIAMETER * SCALES_PX[-1] * first.pitch_um * step
+    return bool(np.hypot(*found.shift_um) + turned_um > widest_um)
 
 
 def _limit(band: _Band, pitch_um: float) -> Limit:

@@ -22,7 +22,7 @@ from host_sync.render.shading import Picture
 from host_sync.render.still import Still, render
 from host_sync.results.field_file import write_field
 from host_sync.results.reader import ResultSurface
-from host_sync.same_spot.changes import Change, Limit, changes
+from host_sync.same_spot.changes import Change, Limit, changes, is_elsewhere
 
 RECORD_FILE: Final = "same_spot.json"
 DIFFERENCE_FILE: Final = "difference_um.tif"
@@ -34,6 +34,7 @@ RING_UM: Final = 400.0
 """Radius of the ring around a change in the picture, at least."""
 
 RING_RGB: Final = (220, 30, 30)
+ERRORS_APART: Final = "the object moved far, and a result states no uncertainty: changes may be errors of the heights"
 
 
 class SameSpotRecord(msgspec.Struct, frozen=True):
@@ -120,6 +121,7 @@ def compared(first: ResultSurface, second: ResultSurface, near: tuple[float, flo
         limits=changed.limits,
         warnings=(
             *((found.warning,) if found.warning else ()),
+            *((ERRORS_APART,) if not known and is_elsewhere(first.height, found) else ()),
             *(f"{one.record.name}: {doubt.sentence}" for one in (first, second) for doubt in one.doubts),
         ),
     )

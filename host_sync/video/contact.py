@@ -40,6 +40,12 @@ MIN_CORRELATION: Final = 0.4
 """Correlation of the texture in two frames from which it is the same. Separate presses on skin without marks reach
 0.12; noise lowers that of a moving one to 0.5."""
 
+SURE_PX: Final = 32.0
+"""Side of a contact that shows this correlation beyond chance; a smaller one must show more."""
+
+MIN_CONTRAST: Final = 1e-4
+"""Standard deviation of the fine band of a contact that shows a texture: rounding alone is below."""
+
 ECC_ENDS: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
 """Iterations of a translation, at most, and the increment of the correlation that ends them."""
 
@@ -110,7 +116,7 @@ class SlipTracker:
     Light counts by its fine band over that band's local variation, so that the object's shading, which stays, holds the
     texture back little. The translation between successive frames has the largest enhanced correlation coefficient
     (Evangelidis & Psarakis 2008); translations are summed. From a frame on that does not show the texture of the one
-    before, the displacement is not known, until a new contact begins.
+    before, or of which no height is known, the displacement is not known, until a new contact begins.
     """
 
     def __init__(self) -> None:
@@ -118,10 +124,13 @@ class SlipTracker:
         self._moved: tuple[float, float] | None = None
 
     def follow(self, light: Float32Array, contact: Contact) -> tuple[float, float] | None:
-        """Return the displacement (down, right; pixels of the frame) up to a frame; None where it is not known.
+        """Return the displacement (down, right; pixels of `light`) up to a frame; None where it is not known.
 
-        light : float32 array of shape (H, W), log light
+        light : float32 array of shape (H, W), logarithm of light
         """
+        if contact.depth_um is None:
+            self._moved = None
+            return None
         before, self._before = self._before, None if contact.centre is None else light
         if contact.centre is None:
             return None
@@ -136,25 +145,31 @@ class SlipTracker:
 def _translation(before: Float32Array, light: Float32Array, mask: MaskArray) -> tuple[float, float] | None:
     """Return the translation (down, right; px) of fine texture inside a mask; None where the frames show no common one.
 
-    before, light : float32 arrays of shape (H, W), log light
+    before, light : float32 arrays of shape (H, W), logarithm of light
     mask : bool array of shape (h, w), over the field reduced
     """
     inside = cv2.resize(mask.astype(np.uint8), light.shape[::-1], interpolation=cv2.INTER_NEAREST)
     left, top, width, height = cv2.boundingRect(inside)
     box = (slice(top, top + height), slice(left, left + width))
-    one, other = (_texture(np.ascontiguousarray(frame[box])) for frame in (before, light))
+    bands = [light_bands(np.ascontiguousarray(frame[box]))[0] for frame in (before, light)]
+    if min(float(band.std()) for band in bands) < MIN_CONTRAST:
+        return None
+    one, other = (_evened(band) for band in bands)
+    begin = np.eye(2, 3, dtype=np.float32)
+    begin[:, 2] = cv2.phaseCorrelate(one, other)[0]
     try:
-        correlation, found = cv2.findTransformECC(
-            one, other, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, ECC_ENDS, inside[box], 1
-        )
+        correlation, found = cv2.findTransformECC(one, other, begin, cv2.MOTION_TRANSLATION, ECC_ENDS, inside[box], 1)
     except cv2.error:  # it does not converge
         return None
-    return None if correlation < MIN_CORRELATION else (float(found[1, 2]), float(found[0, 2]))
+    right, down = (float(part) for part in found[:, 2])
+    # Chance correlates the few pixels of a small contact.
+    is_sure = correlation >= MIN_CORRELATION * max(1.0, SURE_PX / np.sqrt(np.count_nonzero(inside)))
+    return (down, right) if is_sure and np.hypot(down, right) < 0.5 * min(width, height) else None
 
 
-def _texture(light: Float32Array) -> Float32Array:
-    """Return the fine band of log light over its local standard deviation, arrays of the same shape."""
-    scaled, weight = weighted(light_bands(light)[0])
+def _evened(band: Float32Array) -> Float32Array:
+    """Return a band over its local standard deviation, arrays of the same shape."""
+    scaled, weight = weighted(band)
     return np.asarray(scaled / np.sqrt(weight), np.float32)
 
 
@@ -182,18 +197,23 @@ class ContactRow:
             return cls(solved.number, time_s, problem=solved.reason or "")
         found = find_contact(solved.height_um, pitch_um, solved.sigma_um)
         row, column = found.centre or (None, None)
-        frame = solved.frame
-        moved = None if slip is None or isinstance(frame, BadFrame) else slip.follow(_log_light(frame), found)
-        down_um, right_um = (None, None) if moved is None else (part * pitch_um for part in moved)
+        light = None if slip is None or isinstance(solved.frame, BadFrame) else _log_light(solved.frame)
+        moved = None if slip is None or light is None else slip.follow(light, found)
+        down_um = right_um = None
+        if light is not None and moved is not None:  # frames may be stored larger than heights
+            sides = zip(moved, solved.height_um.shape, light.shape, strict=True)
+            down_um, right_um = (part * pitch_um * side / stored for part, side, stored in sides)
+        problems = ["no zero: heights are relative"] if solved.statistics.is_relative else []
+        if light is not None and moved is None and found.centre is not None:
+            problems.append("slip is not known: no texture is seen to move since the contact began")
         return cls(
             solved.number, time_s, found.depth_um, found.depth_sigma_um, found.area_mm2, found.area_sigma_mm2,
-            column, row, found.centre_sigma_px, right_um, down_um,
-            "no zero: heights are relative" if solved.statistics.is_relative else "",
+            column, row, found.centre_sigma_px, right_um, down_um, "; ".join(problems),
         )  # fmt: skip
 
 
 def _log_light(frame: StoredFrame) -> Float32Array:
-    """Return the logarithm of a frame's green values, float32 array of shape (H, W)."""
+    """Return the logarithm of a frame's values, of green where it has colours: float32 array of shape (H, W)."""
     pixels = frame.pixels
     values = cv2.blur(pixels.mosaic.astype(np.float32), (2, 2)) if isinstance(pixels, RawFrame) else pixels[..., 1]
     return np.asarray(np.log1p(values, dtype=np.float32), np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import bin_bayer, flat_field_correct
 from device.inverse_map.model import InverseMap
-from device.quick_look.resting_skin import kept_slopes, measure_rest
+from device.quick_look.resting_skin import measure_rest, skin_at_rest
 from device.quick_look.solver import QuickLookModel, quick_look, quick_look_binning, quick_look_field
 from device.surface import Float32Array, Float64Array, GradientField, integrate_dct
 from tests.benchmarks.speed.fresh import fresh
@@ -57,7 +57,7 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
         "bin": lambda: bin_bayer(frame, model.binning),
         "intensity": lambda: flat_field_correct(binned, model.flat_field),
         "look up": lambda: model.slopes.gradients(intensity),
-        "skin at rest": lambda: rest and kept_slopes(intensity, rest),
+        "skin at rest": lambda: rest and skin_at_rest(intensity, rest),
         "integrate": lambda: integrate_dct(slopes.p, slopes.q, 1.0),
         "untabulated map": lambda: tabled.gradients(intensity, model.binning),
         "build the tables": lambda: QuickLookModel.prepare(reference, tabled, pitch_um=1.0),

@@ -197,6 +197,19 @@ def test_a_standard_that_drifted_light_hides_is_a_failed_check(
     assert scan.record.check == check
 
 
+@pytest.mark.parametrize("dimmed", [{"green": 0.9}, {"red": 0.8}])
+def test_a_ball_that_shows_under_drifted_light_is_measured(
+    bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore, dimmed: dict[str, float]
+) -> None:
+    standard, surface, depth_mm = STANDARDS["ball"]
+    with Instrument(hardware, calibrated) as instrument:
+        bench.faults.dimmed = dimmed
+        instrument.set_standard(standard)
+        checked(instrument, bench, surface, depth_mm, (0.3, -0.2))
+    (check,) = read_checks(calibrated.root)
+    assert check.measured_um == pytest.approx(3000.0, rel=0.08)
+
+
 def test_another_standard_clears_no_failure(bench: SimulatedScene, hardware: Hardware, calibrated: BundleStore) -> None:
     ball, step = STANDARDS["ball"], STANDARDS["step"]
     with Instrument(hardware, calibrated) as instrument:

@@ -115,6 +115,7 @@ def test_where_the_object_moved_far_the_uncertainty_of_both_heights_counts() -> 
     assert len(near.found) == 1
     assert far.found == ()
     assert all(one.height_um > 13.5 / 2.5 * 4.0 for one in far.limits)
+    assert changes(first, replace(rest, turn_deg=90.0)).found == ()
     high = changes(first, replace(rest, shift_um=(0.0, 5000.0), z_um=3.0 * rest.z_um)).found
     assert len(high) == 1
     assert high[0].sigma_um > 4.0 > near.found[0].sigma_um

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -99,6 +100,42 @@ def test_slip_is_not_known_once_a_frame_shows_another_texture() -> None:
     contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
     frames = [*textures(2, 1.0, 0.0), *textures(2, 1.0, 0.0, seed=5)]
     assert [slip.follow(light, contact) is None for light in frames] == [False, False, True, True]
+
+
+def test_slip_is_not_known_from_a_frame_without_heights_until_the_next_contact() -> None:
+    contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
+    unknown = find_contact(np.full(SHAPE, np.nan, np.float32), PITCH_UM)
+    lights = textures(4, 1.0, 0.0)
+    found = [slip.follow(light, one) for light, one in zip(lights, (contact, contact, unknown, contact), strict=True)]
+    assert [one is None for one in found] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("value", [255, 200, 30])
+def test_a_contact_without_texture_has_no_slip(value: int) -> None:
+    contact, slip = find_contact(cap_um(400.0), PITCH_UM), SlipTracker()
+    light = np.log1p(np.full(SHAPE, value, np.uint8), dtype=np.float32)
+    assert [slip.follow(light, contact) for _ in range(2)] == [(0.0, 0.0), None]
+
+
+def test_chance_does_not_make_a_small_contact_slip() -> None:
+    contact = find_contact(cap_um(400.0, radius_px=12.0), PITCH_UM)
+    known = 0
+    for seed in range(30):
+        slip = SlipTracker()
+        slip.follow(textures(1, 0.0, 0.0, seed=seed)[0], contact)
+        known += slip.follow(textures(1, 0.0, 0.0, seed=100 + seed)[0], contact) is not None
+    assert known == 0
+
+
+def test_slip_of_frames_stored_larger_is_in_lengths_on_the_skin() -> None:
+    rows = []
+    slip = SlipTracker()
+    for number, light in enumerate(textures(3, 2.0, 0.0)):
+        stored = cv2.resize(np.uint8(127.0 * np.exp(light)), (2 * SHAPE[1], SHAPE[0]), interpolation=cv2.INTER_CUBIC)
+        one = replace(solved(number, cap_um(400.0)), frame=StoredFrame("frame", np.dstack([stored] * 3)))
+        rows.append(ContactRow.of(one, number / 25.0, PITCH_UM, slip))
+    assert rows[-1].slip_right_um == pytest.approx(4.0 * PITCH_UM, rel=0.1)
+    assert rows[-1].slip_down_um == pytest.approx(0.0, abs=0.2 * PITCH_UM)
 
 
 def solved(number: int, z_um: np.ndarray, reason: str | None = None) -> SolvedFrame:

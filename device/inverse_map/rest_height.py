@@ -10,41 +10,45 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from device.inverse_map.skin_at_rest import CALM, RESTING
 from device.surface import Float32Array, MaskArray
 
 
-def rest_height(height: Float32Array, kept: Float32Array) -> Float32Array:
+def rest_height(height: Float32Array, kept: Float32Array, lit: MaskArray) -> Float32Array:
     """Return what to subtract from heights in cells, so that skin at rest is level and zero on its largest part.
 
     Float32 array of shape (h, w), 0 where no height at rest is known; bilinear between the middles of cells.
 
     height : float32 array of shape (H, W), NaN where invalid
-    kept : float32 array of shape (h, w), as of `RestEvidence`
+    kept, lit : float32 and bool array of shape (h, w), as of `RestEvidence`; of cells that are not lit nothing is known
     """
-    means, resting = _cell_means(height, kept)
+    means, known = _mean_heights(height, (kept.shape[0], kept.shape[1]))
+    resting = known & lit & (kept < RESTING)
     if not resting.any():
         return np.zeros_like(means)
-    labels, parts = ndimage.label(kept < CALM)
+    parts, labels = cv2.connectedComponents((lit & (kept < CALM)).astype(np.uint8), connectivity=4)
     labels[~resting] = 0
-    sizes = np.bincount(labels.ravel(), minlength=parts + 1)
-    levels = np.bincount(labels.ravel(), means.ravel(), minlength=parts + 1) / np.maximum(sizes, 1)
+    sizes = np.bincount(labels.ravel(), minlength=parts)
+    levels = np.bincount(labels.ravel(), means.ravel(), minlength=parts) / np.maximum(sizes, 1)
     error = np.where(resting, means - levels.astype(np.float32)[labels], np.float32(0.0))
     return _continued(error, resting.astype(np.float32)) + np.float32(levels[1 + int(sizes[1:].argmax())])
 
 
-def _cell_means(height: Float32Array, kept: Float32Array) -> tuple[Float32Array, MaskArray]:
-    """Return mean heights of cells, and whether a cell is at rest and its height is known for the most part."""
-    size, resting = kept.shape[::-1], kept < RESTING
-    means = np.asarray(cv2.resize(height, size, interpolation=cv2.INTER_AREA), np.float32)
+def enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+    """Return cells over the field at each of its pixels, float32 array of `shape` (H, W)."""
+    return np.asarray(cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _mean_heights(height: Float32Array, shape: tuple[int, int]) -> tuple[Float32Array, MaskArray]:
+    """Return mean heights of cells, arrays of `shape` (h, w), and whether they are known for the most part."""
+    means = np.asarray(cv2.resize(height, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
     if np.isfinite(means).all():
-        return means, resting
-    known = np.isfinite(height)
-    share = np.asarray(cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
-    total = cv2.resize(np.where(known, height, np.float32(0.0)), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32), resting & (share > 0.5)
+        return means, np.ones(shape, np.bool_)
+    valid = np.isfinite(height)
+    share = np.asarray(cv2.resize(valid.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+    total = cv2.resize(np.where(valid, height, np.float32(0.0)), shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32), share > 0.5
 
 
 def _continued(values: Float32Array, known: Float32Array) -> Float32Array:
