@@ -21,8 +21,7 @@ from device.errors import DeviceError
 from device.imaging.frame_light import Brightness
 from device.inverse_map.model import MODEL_FILE, read_model, write_model
 from device.inverse_map.skin_at_rest import SkinAtRest
-from device.quick_look.resting_skin import REST_FILE, measure_rest, write_rest
-from device.quick_look.solver import quick_look_binning, quick_look_field
+from device.quick_look.solver import REST_FILE, measure_rest, quick_look_binning, quick_look_field, write_rest
 from device.store.store import BundleStore
 from hal.errors import ButtonError
 from hal.frame import RawFrame

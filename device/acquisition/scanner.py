@@ -37,8 +37,7 @@ from device.imaging.flat_field import bin_bayer
 from device.imaging.frame_light import Levels, without_ambient
 from device.inverse_map.model import read_model
 from device.quality.verdict import Evidence
-from device.quick_look.resting_skin import REST_FILE, read_rest
-from device.quick_look.solver import QuickLook, QuickLookModel, quick_look, write_quick_look
+from device.quick_look.solver import REST_FILE, QuickLook, QuickLookModel, quick_look, read_rest, write_quick_look
 from device.store.checks import judged_check, read_checks, write_check
 from device.store.store import BundleStore
 from hal.frame import RawFrame

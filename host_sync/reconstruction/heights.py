@@ -12,9 +12,8 @@ import numpy as np
 
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
-from device.inverse_map.rest_height import enlarged, rest_height
-from device.inverse_map.skin_at_rest import MIN_RESTING, RESTING, RestEvidence
-from device.surface import Float32Array, GradientField, HeightMap, MaskArray
+from device.inverse_map.skin_at_rest import CALM, MIN_RESTING, RESTING, RestEvidence
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, rest_height
 from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
@@ -236,7 +235,7 @@ class RestPrior:
         even = np.ones(kept.shape, np.float32)
         p, q = (kept * _mean_slopes(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
         z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even), 1.0)[0].z_um
-        z -= rest_height(z, kept, lit)
+        z -= rest_height(z, lit & resting, lit & (kept < CALM))
         highest = float(np.percentile(z, HIGHEST_PERCENT))
         if highest <= 0.0:
             return cls(kept, lit, even)
@@ -256,7 +255,7 @@ class RestPrior:
 
     def level(self, height: Float32Array) -> None:
         """Level heights (H, W) in place, so that skin at rest is level and zero on its largest part."""
-        error = rest_height(height, self.kept, self.lit)
+        error = rest_height(height, self.lit & (self.kept < RESTING), self.lit & (self.kept < CALM))
         parallel_rows(_take_off_rows, height.shape, height, error)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:

@@ -24,7 +24,7 @@ with atheris.instrument_imports(include=["device", "host_sync", "tifffile", "num
     from device.errors import DeviceError
     from device.inverse_map.model import read_model
     from device.pairing import Answer, Call, DeviceCard, HostCard, Opening
-    from device.quick_look.resting_skin import read_rest
+    from device.quick_look.solver import read_rest
     from device.store.device_id import DeviceState
     from device.store.registry_file import ActiveCalibration
     from host_sync.errors import HostError

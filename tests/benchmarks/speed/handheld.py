@@ -15,8 +15,14 @@ import numpy as np
 from device.bundles.raw_frame import read_raw
 from device.imaging.flat_field import bin_bayer, flat_field_correct
 from device.inverse_map.model import InverseMap
-from device.quick_look.resting_skin import measure_rest, skin_at_rest
-from device.quick_look.solver import QuickLookModel, quick_look, quick_look_binning, quick_look_field
+from device.quick_look.solver import (
+    QuickLookModel,
+    measure_rest,
+    quick_look,
+    quick_look_binning,
+    quick_look_field,
+    skin_at_rest,
+)
 from device.surface import Float32Array, Float64Array, GradientField, integrate_dct
 from tests.benchmarks.speed.fresh import fresh
 from tests.benchmarks.speed.height_error import error_share

@@ -12,8 +12,7 @@ from device.imaging.flat_field import LinearFrame, bin_bayer
 from device.imaging.frame_light import FrameLight
 from device.inverse_map.model import MODEL_FILE, read_model
 from device.inverse_map.skin_at_rest import RestEvidence, SkinAtRest
-from device.quick_look.resting_skin import REST_FILE, levelled, read_rest, write_rest
-from device.quick_look.solver import QuickLook, QuickLookModel, quick_look
+from device.quick_look.solver import REST_FILE, QuickLook, QuickLookModel, levelled, quick_look, read_rest, write_rest
 from device.store.registry_file import read_active
 from hal.frame import RawFrame
 

@@ -9,8 +9,7 @@ import pytest
 from device.bundles.calibration import CalibrationBundle
 from device.imaging.flat_field import bin_bayer
 from device.inverse_map.model import MODEL_FILE, read_model
-from device.quick_look.resting_skin import REST_FILE, read_rest
-from device.quick_look.solver import QuickLookModel, quick_look
+from device.quick_look.solver import REST_FILE, QuickLookModel, quick_look, read_rest
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.reconstruction.pipeline import reconstruct
 

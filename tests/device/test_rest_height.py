@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from device.inverse_map.rest_height import rest_height
+from device.inverse_map.skin_at_rest import CALM, RESTING
+from device.surface import rest_height
 
 SHAPE = (96, 128)
 CELLS = (24, 32)
@@ -11,6 +12,10 @@ ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
 
 
 ALL_LIT = np.ones(CELLS, np.bool_)
+
+
+def level_of(height: np.ndarray, cells: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    return rest_height(height, lit & (cells < RESTING), lit & (cells < CALM))
 
 
 def kept(columns: slice, value: float) -> np.ndarray:
@@ -23,40 +28,40 @@ def kept(columns: slice, value: float) -> np.ndarray:
 @pytest.mark.parametrize(("between", "apart"), [(0.2, 0.0), (1.0, 80.0)])
 def test_parts_that_calm_cells_connect_have_one_height_and_others_keep_theirs(between: float, apart: float) -> None:
     height = np.where(COLUMN < 64.0, 0.0, 80.0).astype(np.float32)
-    found = rest_height(height, kept(slice(14, 18), between), ALL_LIT)
+    found = level_of(height, kept(slice(14, 18), between), ALL_LIT)
     left, right = (np.median(height[:, part] - found.mean(axis=0)[cell]) for part, cell in ((5, 1), (120, 30)))
     assert right - left == pytest.approx(apart, abs=0.5)
 
 
 def test_the_largest_part_is_zero() -> None:
     height = np.where(COLUMN < 40.0, -30.0, 50.0).astype(np.float32)
-    found = rest_height(height, kept(slice(9, 11), 1.0), ALL_LIT)
+    found = level_of(height, kept(slice(9, 11), 1.0), ALL_LIT)
     assert found[12, 25] == pytest.approx(50.0, abs=0.1)
     assert found[12, 3] == pytest.approx(50.0, abs=0.1)
 
 
 def test_invalid_heights_are_left_out() -> None:
     height = (0.3 * COLUMN + 7.0).astype(np.float32)
-    whole = rest_height(height, kept(slice(8, 12), 1.0), ALL_LIT)
+    whole = level_of(height, kept(slice(8, 12), 1.0), ALL_LIT)
     holes = height.copy()
     holes[::4, ::4] = np.nan
     holes[:20, :30] = np.nan
-    found = rest_height(holes, kept(slice(8, 12), 1.0), ALL_LIT)
+    found = level_of(holes, kept(slice(8, 12), 1.0), ALL_LIT)
     assert np.isfinite(found).all()
     assert np.abs(found - whole)[6:, 12:].max() < 0.3
 
 
 def test_without_skin_at_rest_nothing_is_subtracted() -> None:
     height = COLUMN.copy()
-    assert not rest_height(height, np.ones(CELLS, np.float32), ALL_LIT).any()
-    assert not rest_height(np.full(SHAPE, np.nan, np.float32), np.zeros(CELLS, np.float32), ALL_LIT).any()
-    assert not rest_height(height, np.zeros(CELLS, np.float32), ~ALL_LIT).any()
+    assert not level_of(height, np.ones(CELLS, np.float32), ALL_LIT).any()
+    assert not level_of(np.full(SHAPE, np.nan, np.float32), np.zeros(CELLS, np.float32), ALL_LIT).any()
+    assert not level_of(height, np.zeros(CELLS, np.float32), ~ALL_LIT).any()
 
 
 def test_cells_without_light_are_not_at_rest() -> None:
     height = np.where(COLUMN < 64.0, 0.0, 60.0).astype(np.float32)
     cells, lit = kept(slice(14, 28), 1.0), ALL_LIT.copy()
     lit[:, 28:] = False
-    found = rest_height(height, cells, lit)
+    found = level_of(height, cells, lit)
     assert np.abs(found).max() < 0.5
     assert found[12, 30] == pytest.approx(found[12, 20], abs=0.5)
