@@ -151,7 +151,7 @@ def eigenvalues(shape: tuple[int, ...]) -> Float64Array:
     return np.asarray(eigenvalue)
 
 
-# Height of skin at rest, which is zero: what a height map shows there is error, and continues smoothly beside it.
+# Height of skin at rest, which is zero: what a height map shows there is error, which continues into its surroundings.
 #
 # Slopes of the free skin around an object do not close, and integration spreads what does not close over the field.
 # Connected calm cells rest at one height: their height against the mean of those at rest is error, which is continued

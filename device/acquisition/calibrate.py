@@ -21,7 +21,7 @@ from device.errors import DeviceError
 from device.imaging.frame_light import Brightness
 from device.inverse_map.model import MODEL_FILE, read_model, write_model
 from device.inverse_map.skin_at_rest import SkinAtRest
-from device.quick_look.solver import REST_FILE, measure_rest, quick_look_binning, quick_look_field, write_rest
+from device.quick_look.solver import REST_FILE, measure_rest, write_rest
 from device.store.store import BundleStore
 from hal.errors import ButtonError
 from hal.frame import RawFrame
@@ -187,7 +187,7 @@ def _rest_of(reference: RawFrame, presses: Sequence[AcceptedPress], fit: Inverse
     """Return the noise of untouched skin around the balls of presses; None where the field is too small."""
     balls = iter(fit.balls)
     shown = [(press.frame, [next(balls) for _ in press.balls]) for press in presses]
-    return measure_rest(quick_look_field(reference), shown, quick_look_binning(reference.shape))
+    return measure_rest(reference, shown)
 
 
 def _press_records(

@@ -57,7 +57,7 @@ class QuickLookModel:
     ) -> QuickLookModel:
         """Return the model of a calibration's reference frame, inverse map and noise of untouched skin."""
         binning = quick_look_binning(reference.shape)
-        flat_field = quick_look_field(reference)
+        flat_field = make_flat_field(bin_bayer(reference, binning))
         # Three planes, as a binned frame is: arithmetic between like layouts is several times as fast.
         planar = np.moveaxis(np.ascontiguousarray(np.moveaxis(flat_field, -1, 0)), 0, -1)
         return cls(binning, planar, TabulatedInverseMap.of(inverse_map, binning), pitch_um, rest)
@@ -82,11 +82,6 @@ def quick_look_binning(shape: tuple[int, int]) -> int:
     while shape[1] // binning > WIDEST_PX:
         binning += 2
     return binning
-
-
-def quick_look_field(reference: RawFrame) -> Float32Array:
-    """Return the flat field of quick looks, float32 array of shape (H / binning, W / binning, 3)."""
-    return make_flat_field(bin_bayer(reference, quick_look_binning(reference.shape)))
 
 
 def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
@@ -156,20 +151,18 @@ def levelled(z_um: Float32Array, rest: RestEvidence) -> Float32Array:
     return np.asarray(z_um - enlarged(rest_height(_coarser(z_um), resting, calm), z_um.shape), np.float32)
 
 
-def measure_rest(
-    reference: Float32Array, presses: Sequence[tuple[RawFrame, Sequence[Ball]]], binning: int
-) -> SkinAtRest | None:
+def measure_rest(reference: RawFrame, presses: Sequence[tuple[RawFrame, Sequence[Ball]]]) -> SkinAtRest | None:
     """Return the noise of untouched skin; None where the field is too small.
 
-    reference : float32 array of shape (H / binning, W / binning, 3), the flat field of quick looks
     presses : frames of the calibration, each with its balls in sensor pixels
     """
-    scale = binning * _COARSER
+    binning = quick_look_binning(reference.shape)
+    flat_field = make_flat_field(bin_bayer(reference, binning))
     shown = []
     for frame, balls in presses:
-        image = _coarse(flat_field_correct(bin_bayer(frame, binning), reference))
-        shown.append((image, [_scaled(ball, scale) for ball in balls]))
-    noise = SkinAtRest.of(shown, reference)
+        image = _coarse(flat_field_correct(bin_bayer(frame, binning), flat_field))
+        shown.append((image, [_scaled(ball, binning * _COARSER) for ball in balls]))
+    noise = SkinAtRest.of(shown, flat_field)
     return noise and replace(noise, removes_light=False)  # drift of the lights is measured, not removed
 
 
@@ -193,8 +186,10 @@ def read_rest(path: Path) -> SkinAtRest:
 
 
 def _noise_of(arrays: dict[str, NDArray[Any]], path: Path) -> SkinAtRest:
-    levels = arrays["levels"]
-    if levels.shape != (2,):
+    levels, size = arrays["levels"], arrays["covariance"].shape
+    shapes = {"pooled": size, "roughness": size[:3], "darkness": size[:3], "levels": (2,)}
+    is_sized = size[2:] == (3, 3) and min(size[:2]) >= MIN_CELLS
+    if not is_sized or any(arrays[name].shape != shape for name, shape in shapes.items()):
         raise RecordError(f"{path}: holds arrays of wrong shapes: calibrate again")
     found = SkinAtRest(
         covariance=np.asarray(arrays["covariance"], np.float32),
@@ -205,11 +200,6 @@ def _noise_of(arrays: dict[str, NDArray[Any]], path: Path) -> SkinAtRest:
         offset_sigma=float(levels[1]),
         removes_light=False,
     )
-    rows, columns, *_ = size = found.covariance.shape
-    if size[2:] != (3, 3) or min(rows, columns) < MIN_CELLS or found.pooled.shape != size:
-        raise RecordError(f"{path}: holds arrays of wrong shapes: calibrate again")
-    if found.roughness.shape != size[:3] or found.darkness.shape != size[:3]:
-        raise RecordError(f"{path}: holds arrays of wrong shapes: calibrate again")
     variances = (found.roughness, found.darkness, levels)
     if not all(np.isfinite(one).all() and one.min() > 0.0 for one in variances):
         raise RecordError(f"{path}: holds values that are no variances: calibrate again")

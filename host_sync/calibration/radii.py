@@ -360,7 +360,7 @@ def fit_to(
 
     light : of untouched skin, None where no reference shows it
     like : an earlier fit, whose choices are kept
-    thorough : as of `begin_fit`
+    thorough : as for `begin_fit`
     """
     samples = gather_samples([(press.intensity, press.balls) for press in presses], for_fit=True)
     balls = [ball for press in presses for ball in press.balls]

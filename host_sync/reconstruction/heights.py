@@ -211,7 +211,7 @@ class RestPrior:
     """Shrinkage and weights of slopes, in cells over the field.
 
     kept : float32 array of shape (h, w), fraction of a slope that remains
-    lit : bool array of shape (h, w), as of `RestEvidence`
+    lit : bool array of shape (h, w), see `RestEvidence`
     weight : float32 array of shape (h, w), factor of a slope's weight
     """
 
@@ -231,18 +231,17 @@ class RestPrior:
         resting = kept < RESTING
         if resting.mean() < MIN_RESTING:
             return None
-        lit = np.all([one.lit for one in evidence], axis=0)
-        even = np.ones(kept.shape, np.float32)
+        even = cls(kept, np.all([one.lit for one in evidence], axis=0), np.ones(kept.shape, np.float32))
         p, q = (kept * _mean_slopes(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
-        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even), 1.0)[0].z_um
-        z -= rest_height(z, lit & resting, lit & (kept < CALM))
+        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even.weight), 1.0)[0].z_um
+        even.level(z)
         highest = float(np.percentile(z, HIGHEST_PERCENT))
         if highest <= 0.0:
-            return cls(kept, lit, even)
+            return even
         rise = np.clip((z / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
         contact = rise * rise * (3.0 - 2.0 * rise)
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
-        return cls(kept, lit, np.asarray(information, np.float32))
+        return cls(kept, even.lit, np.asarray(information, np.float32))
 
     @property
     def resting(self) -> float:

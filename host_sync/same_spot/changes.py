@@ -191,15 +191,15 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
     first : the first press, on whose grid the difference is
     untouched : skin that neither press touched, of the first map's shape, where there is nothing to judge
     """
-    step = max(1, -(-max(first.z_um.shape) // MAX_PX))
+    step = _step(first)
     size = (first.z_um.shape[1] // step, first.z_um.shape[0] // step)
     off = found.z_um if untouched is None else np.where(untouched, np.float32(np.nan), found.z_um)
     z_um, rest = (_small(values, step, size) for values in (first.z_um, off))
     gain = _gain(z_um, rest)
     background = blurred(z_um, BACKGROUND_PX)[0]
     rest = rest - np.float32(gain) * (z_um - background)
-    apart = found.sigma_um is not None and is_elsewhere(first, found)
-    sigma_um = _small(found.sigma_um, step, size) if found.sigma_um is not None and apart else np.zeros_like(rest)
+    independent_um = found.sigma_um if is_elsewhere(first, found) else None
+    sigma_um = np.zeros_like(rest) if independent_um is None else _small(independent_um, step, size)
     bands = [_band(z_um, rest, sigma_um, scale) for scale in SCALES_PX]
     highest = max(
         (float(np.nanmax(np.abs(band.score))) for band in bands if np.isfinite(band.score).any()), default=0.0
@@ -220,12 +220,15 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
     return Changes(tuple(listed), limits, judged, highest, gain)
 
 
+def _step(first: HeightMap) -> int:
+    """Return the side, in pixels of the first map, of the squares whose means are judged."""
+    return max(1, -(-int(max(first.z_um.shape)) // MAX_PX))
+
+
 def is_elsewhere(first: HeightMap, found: Difference) -> bool:
     """Return whether the object lies farther from its first place than the widest change, so that heights err apart."""
-    rows, columns = first.z_um.shape
-    step = max(1, -(-max(rows, columns) // MAX_PX))
-    turned_um = abs(float(np.radians(found.turn_deg))) * 0.5 * float(np.hypot(rows, columns)) * first.pitch_um
-    widest_um = WIDTH_TO_DIAMETER * SCALES_PX[-1] * first.pitch_um * step
+    turned_um = abs(float(np.radians(found.turn_deg))) * 0.5 * float(np.hypot(*first.z_um.shape)) * first.pitch_um
+    widest_um = WIDTH_TO_DIAMETER * SCALES_PX[-1] * first.pitch_um * _step(first)
     return bool(np.hypot(*found.shift_um) + turned_um > widest_um)
 
 
@@ -264,7 +267,7 @@ def _gain(z_um: Float32Array, rest: Float32Array) -> float:
 def _band(z_um: Float32Array, rest: Float32Array, sigma_um: Float32Array, scale_px: float) -> _Band:
     """Return the band of the difference with its spread on surfaces as rough as at each place.
 
-    sigma_um : float32 array of shape (h, w), uncertainty of the difference beside its spread
+    sigma_um : float32 array of shape (h, w), uncertainty of the difference in addition to its spread
     """
     values = heights(rest, scale_px)
     q, p = np.gradient(blurred(z_um, 0.3 * scale_px)[0])

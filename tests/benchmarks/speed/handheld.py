@@ -19,8 +19,6 @@ from device.quick_look.solver import (
     QuickLookModel,
     measure_rest,
     quick_look,
-    quick_look_binning,
-    quick_look_field,
     skin_at_rest,
 )
 from device.surface import Float32Array, Float64Array, GradientField, integrate_dct
@@ -53,7 +51,7 @@ def look(inverse_map: InverseMap, folder: Path, shape: Shape, rounds: int) -> di
     frame = read_raw(folder / f"coin-{named(shape)}.tif")
     reference = read_raw(folder / f"reference-{named(shape)}.tif")
     tabled = replace(inverse_map, near=None, light=None)  # the curve of intensity, which alone the handheld fits
-    rest = measure_rest(quick_look_field(reference), [], quick_look_binning(reference.shape))
+    rest = measure_rest(reference, [])
     model = QuickLookModel.prepare(reference, tabled, pitch_um=1.0, rest=rest)
     binned = bin_bayer(frame, model.binning)
     intensity = flat_field_correct(binned, model.flat_field)

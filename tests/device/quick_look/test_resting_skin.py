@@ -13,7 +13,6 @@ from device.imaging.frame_light import FrameLight
 from device.inverse_map.model import MODEL_FILE, read_model
 from device.inverse_map.skin_at_rest import RestEvidence, SkinAtRest
 from device.quick_look.solver import REST_FILE, QuickLook, QuickLookModel, levelled, quick_look, read_rest, write_rest
-from device.store.registry_file import read_active
 from hal.frame import RawFrame
 
 CELLS = (48, 64)
@@ -21,19 +20,9 @@ SHAPE = (192, 256)
 
 
 @pytest.fixture(scope="module")
-def calibration(calibrated_root: Path) -> CalibrationBundle:
-    return read_active(calibrated_root)
-
-
-@pytest.fixture(scope="module")
 def model(calibration: CalibrationBundle) -> QuickLookModel:
     inverse_map, rest = read_model(calibration.path(MODEL_FILE)), read_rest(calibration.path(REST_FILE))
     return QuickLookModel.prepare(calibration.reference(), inverse_map, calibration.record.pixel_pitch_um, rest)
-
-
-@pytest.fixture(scope="module")
-def press(calibration: CalibrationBundle) -> RawFrame:
-    return calibration.press_frame(calibration.record.presses[5])
 
 
 def at_rest(kept: np.ndarray) -> RestEvidence:

@@ -1,7 +1,5 @@
 """The quick look: binned and tabulated, yet the same surface as the full evaluation of the same scan."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,24 +8,13 @@ from device.errors import CalibrationMismatch
 from device.imaging.flat_field import bin_bayer, demosaic, flat_field_correct, make_flat_field
 from device.inverse_map.model import InverseMap, read_model
 from device.quick_look.solver import QuickLookModel, quick_look, quick_look_binning
-from device.store.registry_file import read_active
 from device.surface import integrate_dct
 from hal.frame import RawFrame
 
 
 @pytest.fixture(scope="module")
-def calibration(calibrated_root: Path) -> CalibrationBundle:
-    return read_active(calibrated_root)
-
-
-@pytest.fixture(scope="module")
 def inverse_map(calibration: CalibrationBundle) -> InverseMap:
     return read_model(calibration.path(calibration.record.model_files[0]))
-
-
-@pytest.fixture(scope="module")
-def press(calibration: CalibrationBundle) -> RawFrame:
-    return calibration.press_frame(calibration.record.presses[5])
 
 
 @pytest.fixture(scope="module")
