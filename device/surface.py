@@ -159,19 +159,32 @@ def eigenvalues(shape: tuple[int, ...]) -> Float64Array:
 # two sides of a step, keep their distance.
 
 
-def rest_height(height: Float32Array, resting: MaskArray, calm: MaskArray) -> Float32Array:
+GENTLE_SIGMAS: Final = 6.0
+"""Slopes of cells up to this multiple of the standard uncertainty of slopes connect skin at rest of one height: about
+twice that of free skin, on which balls show no slopes."""
+
+FLANK_FRACTION: Final = 0.3
+STEEPEST_PERCENT: Final = 99.0
+"""The same slopes stay below this fraction of the steepest, so that the flank of a low step connects nothing."""
+
+
+def rest_height(height: HeightMap, resting: MaskArray, calm: MaskArray, slope_sigma: float) -> Float32Array:
     """Return what to subtract from heights in cells, so that skin at rest is level and zero on its largest part.
 
-    Float32 array of shape (h, w), 0 where no height at rest is known; bilinear between the middles of cells.
+    Float32 array of shape (h, w), µm, 0 where no height at rest is known; bilinear between the middles of cells.
 
-    height : float32 array of shape (H, W), NaN where invalid
+    height : NaN where invalid
     resting, calm : bool arrays of shape (h, w), cells at rest, and cells that connect those of one height
+    slope_sigma : standard uncertainty of slopes; gentle skin connects cells at rest, too
     """
-    means, known = _mean_heights(height, (calm.shape[0], calm.shape[1]))
+    means, known = _mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
     resting = known & resting
     if not resting.any():
         return np.zeros_like(means)
-    parts, labels = cv2.connectedComponents(calm.astype(np.uint8), connectivity=4)
+    slope = np.hypot(*surface_slopes(HeightMap(means, height.pitch_um * height.z_um.shape[1] / calm.shape[1])))
+    limit = min(GENTLE_SIGMAS * slope_sigma, FLANK_FRACTION * float(np.percentile(slope, STEEPEST_PERCENT)))
+    connecting = calm | (known & (slope < limit))
+    parts, labels = cv2.connectedComponents(connecting.astype(np.uint8), connectivity=4)
     labels[~resting] = 0
     sizes = np.bincount(labels.ravel(), minlength=parts)
     levels = np.bincount(labels.ravel(), means.ravel(), minlength=parts) / np.maximum(sizes, 1)

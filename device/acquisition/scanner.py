@@ -129,7 +129,9 @@ class Scanner:
         reference = self._calibration.reference()
         self._plan = replace(self._plan, bayer_order=reference.bayer_order)
         rest = read_rest(self._calibration.path(REST_FILE)) if REST_FILE in record.model_files else None
-        self._model = QuickLookModel.prepare(reference, inverse_map, record.pixel_pitch_um, rest)
+        self._model = QuickLookModel.prepare(
+            reference, inverse_map, record.pixel_pitch_um, rest, record.figures.get("held_out_error_deg")
+        )
         self.health = ScanHealth(reference, self._model, hardware.profile, store.root)
 
     @property

@@ -42,8 +42,17 @@ STEEPER_THAN_BALLS: Final = 1.5
 """Slope, relative to the steepest of the balls, that no pixel's exceeds: where no ball was, curves run to any value.
 Corners without one gave heights of 75 mm (wyh5625/gelsight, eight presses, 349 x 240 pixels of 100 µm)."""
 
+NO_HELD_OUT_DEG: Final = 5.0
+"""Error of the inverse map's slopes that is assumed where too few balls were given to hold one out."""
+
 _BLOCK_ROWS: Final = 64
 ModelT = TypeVar("ModelT")
+
+
+def slope_sigma_of(held_out_deg: float | None) -> float:
+    """Return the standard uncertainty of a slope component for a mean angular error, degrees; None if not known."""
+    known_deg = held_out_deg if held_out_deg is not None and np.isfinite(held_out_deg) else NO_HELD_OUT_DEG
+    return float(np.tan(np.radians(known_deg)) / np.sqrt(np.pi / 2.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball
 from device.errors import RecordError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, bin_bayer, flat_field_correct, make_flat_field
-from device.inverse_map.model import InverseMap, read_arrays, write_arrays
+from device.inverse_map.model import InverseMap, read_arrays, slope_sigma_of, write_arrays
 from device.inverse_map.skin_at_rest import CALM, MIN_CELLS, MIN_RESTING, RESTING, RestEvidence, SkinAtRest
 from device.inverse_map.tabulated import TabulatedInverseMap
 from device.surface import (
@@ -43,24 +43,35 @@ class QuickLookModel:
     slopes : the inverse map, tabulated
     pitch_um : distance of neighbouring sensor pixels on the skin, µm
     rest : noise of untouched skin; None where the calibration measured none
+    slope_sigma : standard uncertainty of slopes
     """
 
     binning: int
     flat_field: Float32Array
     slopes: TabulatedInverseMap
     pitch_um: float
-    rest: SkinAtRest | None = None
+    rest: SkinAtRest | None
+    slope_sigma: float
 
     @classmethod
     def prepare(
-        cls, reference: RawFrame, inverse_map: InverseMap, pitch_um: float, rest: SkinAtRest | None = None
+        cls,
+        reference: RawFrame,
+        inverse_map: InverseMap,
+        pitch_um: float,
+        rest: SkinAtRest | None = None,
+        held_out_deg: float | None = None,
     ) -> QuickLookModel:
-        """Return the model of a calibration's reference frame, inverse map and noise of untouched skin."""
+        """Return the model of a calibration's reference frame, inverse map and noise of untouched skin.
+
+        held_out_deg : mean angular error on held-out balls; None where it is not known
+        """
         binning = quick_look_binning(reference.shape)
         flat_field = make_flat_field(bin_bayer(reference, binning))
         # Three planes, as a binned frame is: arithmetic between like layouts is several times as fast.
         planar = np.moveaxis(np.ascontiguousarray(np.moveaxis(flat_field, -1, 0)), 0, -1)
-        return cls(binning, planar, TabulatedInverseMap.of(inverse_map, binning), pitch_um, rest)
+        tabulated = TabulatedInverseMap.of(inverse_map, binning)
+        return cls(binning, planar, tabulated, pitch_um, rest, slope_sigma_of(held_out_deg))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,10 +111,10 @@ def quick_look(frame: LinearFrame, model: QuickLookModel) -> QuickLook:
     if rest is not None:
         trusted *= enlarged(rest.kept, trusted.shape)
     pitch_um = model.pitch_um * model.binning
-    z_um = integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um)
+    height = HeightMap(integrate_dct(gradients.p * trusted, gradients.q * trusted, pitch_um), pitch_um)
     if rest is not None:
-        z_um = levelled(z_um, rest)
-    return QuickLook(HeightMap(z_um, pitch_um), gradients, intensity)
+        height = levelled(height, rest, model.slope_sigma)
+    return QuickLook(height, gradients, intensity)
 
 
 # The quick look as files of a scan bundle: heights for programs, a picture for people.
@@ -145,10 +156,12 @@ def skin_at_rest(intensity: NormalizedImage, noise: SkinAtRest) -> RestEvidence 
     return evidence if evidence.fraction >= MIN_RESTING else None
 
 
-def levelled(z_um: Float32Array, rest: RestEvidence) -> Float32Array:
-    """Return heights (H, W) that are level on skin at rest, and zero on its largest part."""
+def levelled(height: HeightMap, rest: RestEvidence, slope_sigma: float) -> HeightMap:
+    """Return heights that are level on skin at rest, and zero on its largest part; arguments as of `rest_height`."""
     resting, calm = (rest.lit & (rest.kept < most) for most in (RESTING, CALM))
-    return np.asarray(z_um - enlarged(rest_height(_coarser(z_um), resting, calm), z_um.shape), np.float32)
+    coarse = HeightMap(_coarser(height.z_um), height.pitch_um * _COARSER)
+    error = enlarged(rest_height(coarse, resting, calm, slope_sigma), height.z_um.shape)
+    return HeightMap(np.asarray(height.z_um - error, np.float32), height.pitch_um)
 
 
 def measure_rest(reference: RawFrame, presses: Sequence[tuple[RawFrame, Sequence[Ball]]]) -> SkinAtRest | None:

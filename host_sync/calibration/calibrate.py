@@ -11,13 +11,14 @@ from device.balls.sphere import Viewpoint
 from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, flat_field_correct
+from device.inverse_map.model import slope_sigma_of
 from device.inverse_map.skin_at_rest import SkinAtRest
 from device.surface import Float32Array
 from host_sync.calibration.assessment import Assessment, assess, light_notes, with_reference
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.preparation import PreparedPresses, TrainingPress, training_presses
 from host_sync.calibration.radii import Centres
-from host_sync.calibration.slope_models import SlopeModels, slope_sigma_of
+from host_sync.calibration.slope_models import SlopeModels
 from host_sync.denoising.bounded_shrinkage import DetailShrinkage
 from host_sync.denoising.frame_noise import NullColour, learn_null_colour
 from host_sync.denoising.slope_noise import measure_slope_noise

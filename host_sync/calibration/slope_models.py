@@ -15,7 +15,7 @@ from device.balls.sphere import MIN_HEIGHTS, Ball, BallSamples, Viewpoint, gathe
 from device.calibration.fit import BegunFit, InverseFit
 from device.errors import CalibrationError
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.model import REST_NODES, InverseMap
+from device.inverse_map.model import REST_NODES, InverseMap, slope_sigma_of
 from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import correct_noise_bias
 from device.surface import Float32Array, Float64Array, MaskArray
@@ -28,15 +28,6 @@ from host_sync.light.fit import FittedLight, Press, confirmed_fraction, fit_ligh
 from host_sync.light.model import Position
 from host_sync.uncertainty.elevation import ElevationCorrection, apexes_px, elevation_correction
 from host_sync.uncertainty.slope_error import SlopeError, measure_slope_error
-
-NO_HELD_OUT_DEG: Final = 5.0
-"""Error of the inverse map's slopes that is assumed where too few balls were given to hold one out."""
-
-
-def slope_sigma_of(held_out_deg: float | None) -> float:
-    """Return the standard uncertainty of a slope component for a mean angular error, degrees; None if not known."""
-    known_deg = held_out_deg if held_out_deg is not None and np.isfinite(held_out_deg) else NO_HELD_OUT_DEG
-    return float(np.tan(np.radians(known_deg)) / np.sqrt(np.pi / 2.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,7 @@ class RestingSlopes:
         read, calibration, is_papers = reading.gradients, reading.first.calibration, reading.method == "paper"
         viewpoint = calibration.viewpoint
         seen = read if viewpoint is None else seen_slopes(read, viewpoint)
-        prior = None if keep_noise or is_papers else RestPrior.of(seen, reading.rest)
+        prior = None if keep_noise or is_papers else RestPrior.of(seen, reading.rest, calibration.prior_sigma)
         if prior is not None:
             prior.apply(read)
             seen = read if viewpoint is None else seen_slopes(read, viewpoint)
@@ -66,7 +66,7 @@ class RestingSlopes:
         solve = integrate_forward_difference if self.is_papers else integrate
         height, report = solve(self.over_pixels if slopes is None else slopes, self.pitch_um)
         if self.prior is not None:
-            self.prior.level(height.z_um)
+            self.prior.level(height)
         return height, report
 
     def integrate_detail(self, raw: GradientField, height: HeightMap) -> tuple[GradientField, HeightMap]:
@@ -104,7 +104,7 @@ class Heights:
         first, gradients = reading.first, slopes.over_pixels
         at_rest = None if slopes.prior is None else slopes.prior.at_rest(integrated.z_um.shape)
         found = find_datum(integrated, gradients, at_rest=at_rest) if reading.has_rest else None
-        datum = (found or no_datum(integrated, gradients)).at_rest(integrated, gradients)
+        datum = found or no_datum(integrated, gradients)
         model = first.calibration.skin_at_rest
         gain_sigma = 0.0 if model is None else model.gain_sigma
         unlit = [] if datum.is_relative else check_datum(first.intensity, datum.skin, gain_sigma)
@@ -213,15 +213,17 @@ class RestPrior:
     kept : float32 array of shape (h, w), fraction of a slope that remains
     lit : bool array of shape (h, w), see `RestEvidence`
     weight : float32 array of shape (h, w), factor of a slope's weight
+    slope_sigma : standard uncertainty of slopes
     """
 
     kept: Float32Array
     lit: MaskArray
     weight: Float32Array
+    slope_sigma: float
 
     @classmethod
-    def of(cls, gradients: GradientField, evidence: Sequence[RestEvidence]) -> RestPrior | None:
-        """Return the prior of slopes (H, W); None where too little skin is at rest.
+    def of(cls, gradients: GradientField, evidence: Sequence[RestEvidence], slope_sigma: float) -> RestPrior | None:
+        """Return the prior of slopes (H, W) of a standard uncertainty; None where too little skin is at rest.
 
         evidence : of each group of lights; skin is at rest where all groups show it
         """
@@ -231,17 +233,17 @@ class RestPrior:
         resting = kept < RESTING
         if resting.mean() < MIN_RESTING:
             return None
-        even = cls(kept, np.all([one.lit for one in evidence], axis=0), np.ones(kept.shape, np.float32))
+        even = cls(kept, np.all([one.lit for one in evidence], axis=0), np.ones(kept.shape, np.float32), slope_sigma)
         p, q = (kept * _mean_slopes(slope, gradients.valid, kept.shape) for slope in (gradients.p, gradients.q))
-        z = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even.weight), 1.0)[0].z_um
-        even.level(z)
-        highest = float(np.percentile(z, HIGHEST_PERCENT))
+        height, _ = integrate(GradientField(p, q, np.ones(kept.shape, np.bool_), even.weight), 1.0)
+        even.level(height)
+        highest = float(np.percentile(height.z_um, HIGHEST_PERCENT))
         if highest <= 0.0:
             return even
-        rise = np.clip((z / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
+        rise = np.clip((height.z_um / highest - FREE_BELOW) / (CONTACT_ABOVE - FREE_BELOW), 0.0, 1.0)
         contact = rise * rise * (3.0 - 2.0 * rise)
         information = np.where(kept < 0.5, 1.0, FREE_INFORMATION + (1.0 - FREE_INFORMATION) * contact)
-        return cls(kept, even.lit, np.asarray(information, np.float32))
+        return cls(kept, even.lit, np.asarray(information, np.float32), slope_sigma)
 
     @property
     def resting(self) -> float:
@@ -252,10 +254,11 @@ class RestPrior:
         """Shrink and weight slopes (H, W) in place."""
         parallel_rows(self._apply_rows, gradients.p.shape, gradients.p, gradients.q, gradients.weight)
 
-    def level(self, height: Float32Array) -> None:
-        """Level heights (H, W) in place, so that skin at rest is level and zero on its largest part."""
-        error = rest_height(height, self.lit & (self.kept < RESTING), self.lit & (self.kept < CALM))
-        parallel_rows(_take_off_rows, height.shape, height, error)
+    def level(self, height: HeightMap) -> None:
+        """Level heights in place, so that skin at rest is level and zero on its largest part."""
+        resting, calm = (self.lit & (self.kept < most) for most in (RESTING, CALM))
+        error = rest_height(height, resting, calm, self.slope_sigma)
+        parallel_rows(_take_off_rows, height.z_um.shape, height.z_um, error)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:
         """True where skin is at rest: bool array of `shape` (H, W)."""

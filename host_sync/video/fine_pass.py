@@ -271,7 +271,8 @@ def read_coarse(
     prior = None
     if evidence is not None and method == "direct" and (correction is None or correction.has_rest):
         viewpoint = calibration.viewpoint
-        prior = RestPrior.of(gradients if viewpoint is None else seen_slopes(gradients, viewpoint), [evidence])
+        seen = gradients if viewpoint is None else seen_slopes(gradients, viewpoint)
+        prior = RestPrior.of(seen, [evidence], calibration.prior_sigma)
         if prior is not None:
             prior.apply(gradients)
     return CoarseReading(gradients, gain_p, gain_q, weight, prior, correction)

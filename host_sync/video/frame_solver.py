@@ -235,7 +235,7 @@ class FrameSolver:
             gradients = replace(full_rectangle(gradients.p, gradients.q), valid=self._all_valid)
         self._integrator.integrate(gradients, self.pitch_um, out=out, tolerance_px=TOLERANCE_PX)
         if reading.prior is not None:
-            reading.prior.level(out)
+            reading.prior.level(HeightMap(out, self.pitch_um))
         coarse = self._coarse_heights(out)
         datum = self._datum(coarse, reading)
         unlit = [] if datum.is_relative else check_datum(_subsample(image, self._apart), datum.skin, self._gain_sigma)
@@ -312,7 +312,7 @@ class FrameSolver:
         if not reading.has_rest:
             return no_datum(height, gradients)
         at_rest = None if reading.prior is None else reading.prior.at_rest(height.z_um.shape)
-        return find_datum(height, gradients, at_rest=at_rest).at_rest(height, gradients)
+        return find_datum(height, gradients, at_rest=at_rest)
 
 
 def _coarse_calibration(calibration: Calibration, cell: int) -> Calibration:

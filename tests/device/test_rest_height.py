@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.inverse_map.skin_at_rest import CALM, RESTING
-from device.surface import rest_height
+from device.surface import HeightMap, rest_height
 
 SHAPE = (96, 128)
 CELLS = (24, 32)
@@ -14,8 +14,12 @@ ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
 ALL_LIT = np.ones(CELLS, np.bool_)
 
 
-def level_of(height: np.ndarray, cells: np.ndarray, lit: np.ndarray) -> np.ndarray:
-    return rest_height(height, lit & (cells < RESTING), lit & (cells < CALM))
+PITCH_UM = 20.0
+SURE = 0.001
+
+
+def level_of(height: np.ndarray, cells: np.ndarray, lit: np.ndarray, slope_sigma: float = SURE) -> np.ndarray:
+    return rest_height(HeightMap(height, PITCH_UM), lit & (cells < RESTING), lit & (cells < CALM), slope_sigma)
 
 
 def kept(columns: slice, value: float) -> np.ndarray:
@@ -31,6 +35,27 @@ def test_parts_that_calm_cells_connect_have_one_height_and_others_keep_theirs(be
     found = level_of(height, kept(slice(14, 18), between), ALL_LIT)
     left, right = (np.median(height[:, part] - found.mean(axis=0)[cell]) for part, cell in ((5, 1), (120, 30)))
     assert right - left == pytest.approx(apart, abs=0.5)
+
+
+def level_right(height: np.ndarray, slope_sigma: float) -> float:
+    """The level of skin at rest on the right above that on the left, of heights that are not at rest between."""
+    left_over = height[5] - np.repeat(level_of(height, kept(slice(10, 22), 1.0), ALL_LIT, slope_sigma)[1], 4)
+    return float(np.median(left_over[100:]) - np.median(left_over[:28]))
+
+
+@pytest.mark.parametrize(("slope_sigma", "apart"), [(0.03, 0.0), (SURE, 60.0)])
+def test_gentle_skin_beside_an_object_connects_what_is_at_rest_as_far_as_slopes_are_uncertain(
+    slope_sigma: float, apart: float
+) -> None:
+    drift_um = np.clip((COLUMN - 40.0) / 48.0, 0.0, 1.0) * 60.0
+    ball_um = np.maximum(200.0 - 0.8 * ((COLUMN - 64.0) ** 2 + (ROW - 60.0) ** 2), 0.0)
+    height = (drift_um + ball_um).astype(np.float32)
+    assert level_right(height, slope_sigma) == pytest.approx(apart, abs=1.0)
+
+
+def test_the_flank_of_a_low_step_connects_nothing_however_uncertain_slopes_are() -> None:
+    height = np.clip((COLUMN - 56.0) / 16.0, 0.0, 1.0) * np.float32(8.0)
+    assert level_right(height, 0.1) == pytest.approx(8.0, abs=0.2)
 
 
 def test_the_largest_part_is_zero() -> None:

@@ -13,6 +13,7 @@ from device.imaging.frame_light import FrameLight
 from device.inverse_map.model import MODEL_FILE, read_model
 from device.inverse_map.skin_at_rest import RestEvidence, SkinAtRest
 from device.quick_look.solver import REST_FILE, QuickLook, QuickLookModel, levelled, quick_look, read_rest, write_rest
+from device.surface import HeightMap
 from hal.frame import RawFrame
 
 CELLS = (48, 64)
@@ -25,8 +26,9 @@ def model(calibration: CalibrationBundle) -> QuickLookModel:
     return QuickLookModel.prepare(calibration.reference(), inverse_map, calibration.record.pixel_pitch_um, rest)
 
 
-def at_rest(kept: np.ndarray) -> RestEvidence:
-    return RestEvidence(kept, np.ones(kept.shape, np.bool_), FrameLight.unchanged(), 0.01)
+def level_of(z_um: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    evidence = RestEvidence(kept, np.ones(kept.shape, np.bool_), FrameLight.unchanged(), 0.01)
+    return levelled(HeightMap(z_um, 20.0), evidence, slope_sigma=0.01).z_um
 
 
 def under(frame: LinearFrame, gains: tuple[float, float, float]) -> LinearFrame:
@@ -66,7 +68,7 @@ def test_the_two_sides_of_a_step_keep_their_distance() -> None:
     step_um = np.float32(150.0) * np.clip((column - 120.0) / 16.0, 0.0, 1.0)
     kept = np.zeros(CELLS, np.float32)
     kept[:, 28:36] = 1.0
-    z_um = levelled((step_um + 0.05 * bowl_um).astype(np.float32), at_rest(kept))
+    z_um = level_of((step_um + 0.05 * bowl_um).astype(np.float32), kept)
     lower, upper = z_um[:, :104], z_um[:, 152:]
     assert np.percentile(np.abs(lower - np.median(lower)), 95) < 0.3
     assert np.median(upper) - np.median(lower) == pytest.approx(150.0, abs=1.0)
@@ -78,7 +80,7 @@ def test_what_skin_at_rest_shows_is_taken_off_the_object_smoothly() -> None:
     ball_um = np.maximum(300.0 - 0.2 * away**2, 0.0).astype(np.float32)
     bowl_um = (40.0 + 0.3 * column + 0.1 * row).astype(np.float32)
     cells_away = np.hypot(*(np.mgrid[: CELLS[0], : CELLS[1]] * 4.0 + 1.5 - np.array([96.0, 128.0])[:, None, None]))
-    z_um = levelled(ball_um + bowl_um, at_rest((cells_away < 44.0).astype(np.float32)))
+    z_um = level_of(ball_um + bowl_um, (cells_away < 44.0).astype(np.float32))
     assert np.abs(z_um[away > 60.0]).max() < 3.0
     assert np.abs(z_um - ball_um).max() < 12.0
 
