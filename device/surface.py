@@ -154,10 +154,9 @@ def eigenvalues(shape: tuple[int, ...]) -> Float64Array:
 # Height of skin at rest, which is zero: what a height map shows there is error, which continues into its surroundings.
 #
 # Slopes of the free skin around an object do not close, and integration spreads what does not close over the field.
-# Connected calm cells rest at one height: their height against the mean of those at rest is error, which is continued
-# over the rest of the field as a solution of Laplace's equation would. Parts that no calm cells connect, such as the
-# two sides of a step, keep their distance.
-
+# Skin at rest that calm or gentle skin connects lies at one height: its height against the mean of those at rest is
+# error, which continues over the rest of the field as a solution of Laplace's equation would. Parts that steep slopes
+# separate, such as the two sides of a step, keep their distance.
 
 GENTLE_SIGMAS: Final = 6.0
 """Slopes of cells up to this multiple of the standard uncertainty of slopes connect skin at rest of one height: about
@@ -167,15 +166,26 @@ FLANK_FRACTION: Final = 0.3
 STEEPEST_PERCENT: Final = 99.0
 """The same slopes stay below this fraction of the steepest, so that the flank of a low step connects nothing."""
 
+BULGE: Final = 0.03
+"""Depth of skin beside an object as a fraction of the object's height: incompressible gel gives way, but not far."""
 
-def rest_height(height: HeightMap, resting: MaskArray, calm: MaskArray, slope_sigma: float) -> Float32Array:
+BULGE_ROUNDS: Final = 8
+
+
+def rest_height(
+    height: HeightMap, resting: MaskArray, calm: MaskArray, slope_sigma: float, weight: Float32Array | None = None
+) -> Float32Array:
     """Return what to subtract from heights in cells, so that skin at rest is level and zero on its largest part.
+
+    Objects press skin towards the camera only. Where the information of slopes is known, gentle skin that is connected
+    to skin at rest is lifted where it lies below it.
 
     Float32 array of shape (h, w), µm, 0 where no height at rest is known; bilinear between the middles of cells.
 
     height : NaN where invalid
     resting, calm : bool arrays of shape (h, w), cells at rest, and cells that connect those of one height
     slope_sigma : standard uncertainty of slopes; gentle skin connects cells at rest, too
+    weight : float32 array of shape (h, w), information of slopes; None where it is not known
     """
     means, known = _mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
     resting = known & resting
@@ -183,13 +193,70 @@ def rest_height(height: HeightMap, resting: MaskArray, calm: MaskArray, slope_si
         return np.zeros_like(means)
     slope = np.hypot(*surface_slopes(HeightMap(means, height.pitch_um * height.z_um.shape[1] / calm.shape[1])))
     limit = min(GENTLE_SIGMAS * slope_sigma, FLANK_FRACTION * float(np.percentile(slope, STEEPEST_PERCENT)))
-    connecting = calm | (known & (slope < limit))
-    parts, labels = cv2.connectedComponents(connecting.astype(np.uint8), connectivity=4)
-    labels[~resting] = 0
-    sizes = np.bincount(labels.ravel(), minlength=parts)
-    levels = np.bincount(labels.ravel(), means.ravel(), minlength=parts) / np.maximum(sizes, 1)
-    error = np.where(resting, means - levels.astype(np.float32)[labels], np.float32(0.0))
-    return _continued(error, resting.astype(np.float32)) + np.float32(levels[1 + int(sizes[1:].argmax())])
+    parts, labels = cv2.connectedComponents((calm | (known & (slope < limit))).astype(np.uint8), connectivity=4)
+    sizes = np.bincount(labels[resting], minlength=parts)
+    levels = np.bincount(labels[resting], means[resting], minlength=parts) / np.maximum(sizes, 1)
+    above = means - levels.astype(np.float32)[labels]
+    zero_um = np.float32(levels[sizes.argmax()])
+    error = _continued(np.where(resting, above, np.float32(0.0)), resting.astype(np.float32))
+    if weight is not None:
+        skin = known & (sizes > 0)[labels]
+        z_um = np.where(skin, above, (means - zero_um) * known) - error
+        error -= np.where(resting, np.float32(0.0), enlarged(_lift(z_um, skin, resting, weight), error.shape))
+    return error + zero_um
+
+
+def _lift(z_um: Float32Array, skin: MaskArray, resting: MaskArray, weight: Float32Array) -> Float32Array:
+    """Return what brings skin that lies too low up to its level, in cells of twice the side, µm.
+
+    It changes heights of much information as a whole. Arguments are arrays of shape (h, w).
+
+    z_um : height above the level of skin at rest
+    skin, resting : cells that may lie too low, and cells that stay
+    weight : information of slopes
+    """
+    share, held, z_um, weight = _halved(skin), _halved(resting) > 0.0, _halved(z_um), _halved(weight)
+    lift, given = np.zeros_like(z_um), np.zeros_like(z_um)
+    highest_um, deepest_um = z_um.max(), np.float32(BULGE) * z_um.max()
+    for _ in range(BULGE_ROUNDS):
+        depth_um = -(z_um + lift)
+        sunk = ~held & (share > 0.5) & (depth_um > deepest_um) & (depth_um < highest_um)
+        if not sunk.any():
+            break
+        given, held = np.where(sunk, -z_um - deepest_um, given), held | sunk
+        lift = _membrane(given, held, weight)
+    return lift
+
+
+def _membrane(given: Float32Array, held: MaskArray, weight: Float32Array) -> Float32Array:
+    """Return values (h, w) of the least weighted sum of squared differences, given where they are held."""
+    from scipy.linalg import solveh_banded  # here, because no command needs it before its first frame
+
+    rows, columns = given.shape
+    # Arrays run along columns: neighbours in a column follow each other, so that the matrix has 2 rows + 1 diagonals.
+    values, free = np.where(held, given, np.float32(0.0)).T.astype(np.float64), ~held.T
+    stiff = weight.T.astype(np.float64)
+    banded = np.zeros((rows + 1, columns, rows))
+    pull = np.zeros((columns, rows))
+    for axis, offset in ((0, rows), (1, 1)):
+        one, other = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
+        edge = 2.0 * stiff[one] * stiff[other] / (stiff[one] + stiff[other])
+        for here, beyond in ((one, other), (other, one)):
+            banded[0][here] += edge
+            pull[here] += edge * values[beyond]
+        banded[offset][one] -= edge * (free[one] & free[other])
+    right, banded[0] = np.where(free, pull, values), np.where(free, banded[0], 1.0)
+    found = solveh_banded(
+        banded.reshape(rows + 1, -1), right.ravel(), lower=True, overwrite_ab=True, check_finite=False
+    )
+    return np.asarray(found.reshape(columns, rows).T, np.float32)
+
+
+def _halved(cells: NDArray[Any]) -> Float32Array:
+    """Return means over cells of twice the side."""
+    rows, columns = cells.shape
+    size = (max(columns // 2, 1), max(rows // 2, 1))
+    return np.asarray(cv2.resize(cells.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:

@@ -257,7 +257,7 @@ class RestPrior:
     def level(self, height: HeightMap) -> None:
         """Level heights in place, so that skin at rest is level and zero on its largest part."""
         resting, calm = (self.lit & (self.kept < most) for most in (RESTING, CALM))
-        error = rest_height(height, resting, calm, self.slope_sigma)
+        error = rest_height(height, resting, calm, self.slope_sigma, self.weight)
         parallel_rows(_take_off_rows, height.z_um.shape, height.z_um, error)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:

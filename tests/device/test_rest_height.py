@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.inverse_map.skin_at_rest import CALM, RESTING
-from device.surface import HeightMap, rest_height
+from device.surface import HeightMap, enlarged, rest_height
 
 SHAPE = (96, 128)
 CELLS = (24, 32)
@@ -90,3 +90,37 @@ def test_cells_without_light_are_not_at_rest() -> None:
     found = level_of(height, cells, lit)
     assert np.abs(found).max() < 0.5
     assert found[12, 30] == pytest.approx(found[12, 20], abs=0.5)
+
+
+def lifted(height: np.ndarray, cells: np.ndarray, weight: np.ndarray, slope_sigma: float = 0.03) -> np.ndarray:
+    """Heights without their error, where the information of slopes is known."""
+    heights = HeightMap(height.astype(np.float32), PITCH_UM)
+    error = rest_height(heights, cells < RESTING, cells < CALM, slope_sigma, weight.astype(np.float32))
+    return height - enlarged(error, height.shape)
+
+
+def test_a_moat_around_an_object_is_lifted_and_the_object_keeps_its_shape() -> None:
+    away = np.hypot(COLUMN - 64.0, ROW - 48.0)
+    cell_away = np.hypot(*(np.mgrid[: CELLS[0], : CELLS[1]] * 4.0 + 1.5 - np.array([48.0, 64.0])[:, None, None]))
+    ball = np.maximum(300.0 - 1.5 * away**2, 0.0)
+    moat = 25.0 * np.sin(np.pi * np.clip((away - 12.0) / 30.0, 0.0, 1.0)) ** 2
+    z_um = lifted(ball - moat, (cell_away < 42.0).astype(np.float32), np.where(cell_away < 14.0, 1.0, 0.1))
+    assert (ball - moat).min() < -24.0
+    assert z_um.min() > -14.0
+    assert np.ptp((z_um - ball)[away < 9.0]) < 6.0
+
+
+@pytest.mark.parametrize("depth_um", [8.0, 80.0])
+def test_a_groove_across_a_plate_is_no_moat(depth_um: float) -> None:
+    groove = -depth_um * np.clip(2.0 - np.abs(COLUMN - 64.0) / 8.0, 0.0, 1.0)
+    z_um = lifted(groove, kept(slice(11, 21), 1.0), np.ones(CELLS))
+    assert z_um[:, 60:68].mean() == pytest.approx(-depth_um, rel=0.02)
+
+
+def test_a_recess_beside_something_higher_keeps_its_depth() -> None:
+    recess = -40.0 * np.clip(3.0 - np.abs(COLUMN - 44.0) / 3.0, 0.0, 1.0)
+    boss = 150.0 * np.clip(3.0 - np.abs(COLUMN - 84.0) / 3.0, 0.0, 1.0)
+    cells = np.maximum(kept(slice(8, 14), 1.0), kept(slice(18, 24), 1.0))
+    z_um = lifted(recess + boss, cells, np.ones(CELLS))
+    assert z_um[:, 42:46].mean() == pytest.approx(-40.0, rel=0.05)
+    assert z_um[:, 82:86].mean() == pytest.approx(150.0, rel=0.02)
