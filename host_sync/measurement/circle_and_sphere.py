@@ -9,18 +9,15 @@ squared distances. Each step is one compiled pass, because the fit runs over eve
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.errors import MeasurementError
-from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.kernels.jit import njit
 from host_sync.measurement.geometry import MIN_FRACTION, SkinPlaces
-from host_sync.measurement.recipe import CircleTable
 from host_sync.profile.profile_line import bilinear
 
 RAYS: Final = 360
@@ -43,9 +40,6 @@ MAX_OFF_FRACTION: Final = 0.06
 MIN_EDGE: Final = 0.02
 """Least share of the rays' variance that an edge leaves over a polynomial of the second degree; a sharp one leaves a
 quarter, a flank over half of the rays a twentieth."""
-
-OTHER_LEVELS: Final = (0.4, 0.6)
-"""Levels that might be called the edge as well as half way: what they change is an uncertainty of the definition."""
 
 TUKEY: Final = 4.685
 ROUNDS: Final = 12
@@ -181,58 +175,6 @@ def _fitted(places: Float64Array) -> tuple[float, float, float, Float64Array]:
         change = np.linalg.lstsq(slopes * root[:, None], residual * root, rcond=None)[0]
         column, row, radius = column + change[0], row + change[1], radius + change[2]
     return float(column), float(row), float(radius), weight
-
-
-class CircleMeasurand:
-    """A round edge: diameter, centre, roundness, and the step across it."""
-
-    def __init__(self, table: CircleTable, height: HeightMap, places: SkinPlaces) -> None:
-        self.name = table.name
-        self._places = places
-        self.found = find_circle(height.z_um, places, table.centre_um, table.radius_um)
-        angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
-        column_um, row_um, radius_um = self.found.grid
-        circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * radius_um
-        self.places_px = (circle + np.array([row_um, column_um])) / height.pitch_um
-        self.masked_share = 1.0 - float(bilinear(height.z_um, self.places_px[:, ::-1])[1].mean())
-        others = [self._at(height.z_um, level).radius_um for level in OTHER_LEVELS]
-        self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
-
-    def kinds(self) -> Mapping[str, ParameterKind]:
-        """Return four lengths along the skin, and a height."""
-        length = ParameterKind("µm", 1.0)
-        return {
-            "diameter": length,
-            "centre right": length,
-            "centre down": length,
-            "roundness": length,
-            "step": ParameterKind("µm"),
-        }
-
-    def values(self, z_um: Float32Array) -> Mapping[str, float]:
-        """Return the circle of a height map of shape (H, W), µm."""
-        found = self._at(z_um)
-        return {
-            "diameter": 2.0 * found.radius_um,
-            "centre right": found.column_um,
-            "centre down": found.row_um,
-            "roundness": found.roundness_um,
-            "step": found.step_um,
-        }
-
-    def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """Return an edge that is not seen all around."""
-        if self.found.share > 0.9:
-            return {}
-        return {"": (f"the edge is seen over {self.found.share:.0%} of the circle only",)}
-
-    def definition_sigmas(self) -> Mapping[str, float]:
-        """Return how far the diameter depends on which level is called the edge."""
-        return {"diameter": self._definition}
-
-    def _at(self, z_um: Float32Array, level: float = 0.5) -> Circle:
-        column_um, row_um, radius_um = self.found.grid
-        return find_circle(z_um, self._places, (column_um, row_um), radius_um, level)
 
 
 # Least-squares sphere of a surface.

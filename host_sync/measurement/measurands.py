@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
-from host_sync.measurement.circle_and_sphere import fit_sphere
+from host_sync.measurement.circle_and_sphere import Circle, find_circle, fit_sphere
 from host_sync.measurement.geometry import (
     Region,
     SkinPlaces,
@@ -22,8 +22,8 @@ from host_sync.measurement.geometry import (
     pit_volumes,
     region_places,
 )
-from host_sync.measurement.recipe import AngleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
-from host_sync.profile.profile_line import Line, Profile, profile_along
+from host_sync.measurement.recipe import AngleTable, CircleTable, DistanceTable, RadiusTable, StepTable, VolumeTable
+from host_sync.profile.profile_line import Line, Profile, bilinear, profile_along
 from host_sync.profile.step_height import (
     StepEdges,
     definition_sigma_um,
@@ -44,53 +44,40 @@ MAX_BEND: Final = 0.1
 MIN_BEND_DEG: Final = 0.5
 """Halves of a face that lean apart by more than this share of the measured angle, and this angle, are no plane."""
 
+OTHER_LEVELS: Final = (0.4, 0.6)
+"""Levels that might be called the edge as well as half way: what they change is an uncertainty of the definition."""
 
-class Measurand(Protocol):
-    """A place, line or region, and the quantities measured there."""
 
-    @property
-    def name(self) -> str:
-        """Its name in the recipe."""
-        ...
+class Measurand:
+    """A place, line or region, and the quantities measured there.
 
-    @property
-    def masked_share(self) -> float:
-        """Fraction without a height."""
-        ...
+    name : in the recipe
+    masked_share : fraction without a height
+    places_px : points all over it: float64 array of shape (N, 2), row and column, px
+    """
+
+    name: str
+    masked_share: float
+    places_px: Float64Array
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Return units by name, in order."""
-        ...
+        raise NotImplementedError
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Return the numbers on a surface of shape (H, W), NaN where undefined; at least those of `kinds`."""
-        ...
-
-    @property
-    def places_px(self) -> Float64Array:
-        """Points all over it: float64 array of shape (N, 2), row and column, px."""
-        ...
+        raise NotImplementedError
 
     def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        """Return warnings by name; those of all numbers under an empty name."""
-        ...
+        """Return warnings by name, those of all numbers under an empty name; none where a subclass states none."""
+        return {}
 
     def definition_sigmas(self) -> Mapping[str, float]:
         """Return the standard uncertainties by name that no sample of the height error shows, in the number's unit."""
-        ...
-
-
-class _Plain:
-    """A measurand without warnings of its own, and without an uncertainty of what is called by its name."""
-
-    def warnings(self) -> Mapping[str, tuple[str, ...]]:
-        return {}
-
-    def definition_sigmas(self) -> Mapping[str, float]:
         return {}
 
 
-class FailedMeasurand(_Plain):
+class FailedMeasurand(Measurand):
     """A measurand that the result does not show: its numbers are not defined, and its warning says why."""
 
     masked_share = 0.0
@@ -114,7 +101,7 @@ class FailedMeasurand(_Plain):
         return {"": (f"not measured: {self.reason}",)}
 
 
-class StepMeasurand(_Plain):
+class StepMeasurand(Measurand):
     """A step, groove or ridge; the profile between the edges found on the height map is used of every sample."""
 
     def __init__(self, table: StepTable, height: HeightMap, places: SkinPlaces) -> None:
@@ -193,7 +180,7 @@ class StepMeasurand(_Plain):
             return tuple(float("nan") for _ in self.edges.places_um)
 
 
-class DistanceMeasurand(_Plain):
+class DistanceMeasurand(Measurand):
     """Distances between two places."""
 
     def __init__(self, table: DistanceTable, height: HeightMap, places: SkinPlaces) -> None:
@@ -218,7 +205,7 @@ class DistanceMeasurand(_Plain):
         return between_places(z_um, self._places, *self._ends)
 
 
-class AngleMeasurand(_Plain):
+class AngleMeasurand(Measurand):
     """Angle between two faces."""
 
     def __init__(self, table: AngleTable, height: HeightMap, places: SkinPlaces) -> None:
@@ -255,7 +242,7 @@ class AngleMeasurand(_Plain):
         return {"angle": 0.5 * float(np.sqrt(np.nansum(np.square(self._bends_deg))))}
 
 
-class RadiusMeasurand(_Plain):
+class RadiusMeasurand(Measurand):
     """Radius of a sphere."""
 
     def __init__(self, table: RadiusTable, height: HeightMap, places: SkinPlaces) -> None:
@@ -284,7 +271,53 @@ class RadiusMeasurand(_Plain):
         return {"radius": found.radius_um, "residual": found.residual_um}
 
 
-class VolumeMeasurand(_Plain):
+class CircleMeasurand(Measurand):
+    """A round edge: diameter, centre, roundness, and the step across it."""
+
+    def __init__(self, table: CircleTable, height: HeightMap, places: SkinPlaces) -> None:
+        self.name = table.name
+        self._places = places
+        self.found = find_circle(height.z_um, places, table.centre_um, table.radius_um)
+        angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
+        column_um, row_um, radius_um = self.found.grid
+        circle = np.stack([np.sin(angle), np.cos(angle)], axis=-1) * radius_um
+        self.places_px = (circle + np.array([row_um, column_um])) / height.pitch_um
+        self.masked_share = 1.0 - float(bilinear(height.z_um, self.places_px[:, ::-1])[1].mean())
+        others = [self._at(height.z_um, level).radius_um for level in OTHER_LEVELS]
+        self._definition = 2.0 * float(np.std([self.found.radius_um, *others]))
+
+    def kinds(self) -> Mapping[str, ParameterKind]:
+        """Return four lengths along the skin, and a height."""
+        along = dict.fromkeys(("diameter", "centre right", "centre down", "roundness"), _LENGTH)
+        return along | {"step": _UM}
+
+    def values(self, z_um: Float32Array) -> Mapping[str, float]:
+        """Return the circle of a height map of shape (H, W), µm."""
+        found = self._at(z_um)
+        return {
+            "diameter": 2.0 * found.radius_um,
+            "centre right": found.column_um,
+            "centre down": found.row_um,
+            "roundness": found.roundness_um,
+            "step": found.step_um,
+        }
+
+    def warnings(self) -> Mapping[str, tuple[str, ...]]:
+        """Return an edge that is not seen all around."""
+        if self.found.share > 0.9:
+            return {}
+        return {"": (f"the edge is seen over {self.found.share:.0%} of the circle only",)}
+
+    def definition_sigmas(self) -> Mapping[str, float]:
+        """Return how far the diameter depends on which level is called the edge."""
+        return {"diameter": self._definition}
+
+    def _at(self, z_um: Float32Array, level: float = 0.5) -> Circle:
+        column_um, row_um, radius_um = self.found.grid
+        return find_circle(z_um, self._places, (column_um, row_um), radius_um, level)
+
+
+class VolumeMeasurand(Measurand):
     """Volumes of a pit or a hill."""
 
     def __init__(self, table: VolumeTable, height: HeightMap, places: SkinPlaces) -> None:

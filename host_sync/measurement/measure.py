@@ -13,13 +13,13 @@ from device.surface import Float32Array, Float64Array, HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.iso25178.areal_parameters import ParameterKind
 from host_sync.iso25178.power_spectrum import PowerSpectrum, RadialSpectrum
-from host_sync.measurement.circle_and_sphere import CircleMeasurand
 from host_sync.measurement.foreign_file import read_foreign
 from host_sync.measurement.geometry import SkinPlaces, painted, reaches_beyond, share_at, without
 from host_sync.measurement.height_samples import HeightSamples, SampledSurface
 from host_sync.measurement.levelling import Levelling, LevelSpread
 from host_sync.measurement.measurands import (
     AngleMeasurand,
+    CircleMeasurand,
     DistanceMeasurand,
     FailedMeasurand,
     Measurand,

@@ -37,6 +37,7 @@ from host_sync.iso25178.areal_parameters import (
 )
 from host_sync.measurement.circle_and_sphere import SphereForm
 from host_sync.measurement.geometry import Region, SkinPlaces, field_places, line_places, region_places
+from host_sync.measurement.measurands import Measurand
 from host_sync.measurement.recipe import ProfileTable, Recipe
 from host_sync.profile.profile_line import Line, Profile, profile_along, profile_parameters
 
@@ -116,7 +117,7 @@ FINEST_PX: Final = 2.0
 """A nesting index of fewer pixels has no effect."""
 
 
-class ArealMeasurand:
+class ArealMeasurand(Measurand):
     """Form, filters and parameters of a recipe over its region.
 
     Parameters
@@ -292,7 +293,7 @@ _KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), AMPLITUDE) | {
 }
 
 
-class ProfileMeasurand:
+class ProfileMeasurand(Measurand):
     """A profile, levelled and filtered along its line, without the ends that the L-filter distorts.
 
     Parameters
@@ -353,10 +354,6 @@ class ProfileMeasurand:
         if self._shows_form:
             every.append("Rz is less than twice Ra: this is form that the filter leaves; raise form_degree")
         return {"": tuple(every)} if every else {}
-
-    def definition_sigmas(self) -> Mapping[str, float]:
-        """None: the standard defines every parameter."""
-        return {}
 
     def _evaluation(self, whole: Profile) -> tuple[int, int]:
         """Return the number of sections, and of samples dropped at either end."""
