@@ -16,7 +16,7 @@ from device.balls.sphere import Ball
 from device.errors import DeviceError
 from device.imaging.flat_field import LinearFrame
 from device.surface import Float32Array, GradientField
-from host_sync.api_types import HeightFrame, HeightStream
+from host_sync.api_types import HeightStream
 from host_sync.calibration.balls import GridSpacing, PressFrame
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.errors import (
@@ -32,11 +32,10 @@ from host_sync.frames.frame_set_file import MAX_LIGHTS
 from host_sync.frames.image_file import read_image, read_info
 from host_sync.frames.image_info import check_one_orientation, square_pitch
 from host_sync.frames.linear_light import frame_of_values, read_frame
-from host_sync.integration.zero_level import NO_ZERO
 from host_sync.kernels.jit import get_num_threads, set_num_threads
 from host_sync.results.reader import ResultSurface, read_result
 from host_sync.video.frame_solver import FrameSolver
-from host_sync.video.stream import LiveHeights, SolvedFrame, in_order, open_live
+from host_sync.video.stream import in_order, open_live
 
 if TYPE_CHECKING:
     from host_sync.api_types import Encoding, Image, Method, Press, Result
@@ -308,19 +307,4 @@ def open_stream(
     """Return the stream of a source; arguments as of `host_sync.api.stream`, checked."""
     solver = FrameSolver.of(calibration, method, encoding, full_scale=full_scale, force=force)
     live = open_live(source, solver, newest=None if kept is None else kept == "newest", sigma=sigma)
-    return HeightStream(
-        (_height_frame(one, live, solver.pitch_um) for one in live),
-        solver.shape,
-        solver.pitch_um,
-        lambda: (live.dropped, live.problem),
-        live.close,
-    )
-
-
-def _height_frame(solved: SolvedFrame, live: LiveHeights, pitch_um: float) -> HeightFrame:
-    problem = solved.reason
-    if solved.statistics is not None and solved.statistics.is_relative:
-        problem = NO_ZERO
-    return HeightFrame(
-        solved.number, solved.name, live.time_s(solved), solved.height_um, solved.sigma_um, pitch_um, problem
-    )
+    return HeightStream(live, solver)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from device.surface import Float32Array
     from host_sync.results.reader import ResultSurface
     from host_sync.video.contact import Contact
+    from host_sync.video.frame_solver import FrameSolver
+    from host_sync.video.stream import LiveHeights
 
     Image = str | Path | tuple[str | Path, ...] | NDArray[Any]
     """An RGB image file; a grey one a light (three in R, G, B order); or an array of shape (H, W, N): uint8, uint16, or
@@ -195,32 +197,31 @@ class HeightStream:
     >>> heights.close()
     """
 
-    def __init__(
-        self,
-        frames: Iterator[HeightFrame],
-        shape: tuple[int, int],
-        pitch_um: float,
-        state: Callable[[], tuple[int, str | None]],
-        close: Callable[[], None],
-    ) -> None:
-        self.shape, self.pitch_um = shape, pitch_um
-        self._frames, self._state, self._close = frames, state, close
+    def __init__(self, live: LiveHeights, solver: FrameSolver) -> None:
+        self.shape, self.pitch_um = solver.shape, solver.pitch_um
+        self._live, self._solved = live, iter(live)
 
     @property
     def dropped(self) -> int:
         """Number of frames that came while another was solved and were dropped."""
-        return self._state()[0]
+        return self._live.dropped
 
     @property
     def problem(self) -> str | None:
         """The sentence on a sensor that was unplugged and is looked for; None while it gives frames."""
-        return self._state()[1]
+        return self._live.problem
 
     def __iter__(self) -> Iterator[HeightFrame]:
         return self
 
     def __next__(self) -> HeightFrame:
-        return next(self._frames)
+        from host_sync.integration.zero_level import NO_ZERO
+
+        one = next(self._solved)
+        problem = NO_ZERO if one.statistics is not None and one.statistics.is_relative else one.reason
+        return HeightFrame(
+            one.number, one.name, self._live.time_s(one), one.height_um, one.sigma_um, self.pitch_um, problem
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -232,4 +233,4 @@ class HeightStream:
 
     def close(self) -> None:
         """Release the source."""
-        self._close()
+        self._live.close()

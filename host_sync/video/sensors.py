@@ -48,7 +48,6 @@ TWIN_RATE_HZ: Final = 30.0
 
 _CAMERA: Final = re.compile(r"(?:/dev/video)?(\d+)")
 Shape = tuple[int, int]
-ProblemChange = Callable[[str | None], None]
 
 
 class Capture(Protocol):
@@ -65,18 +64,12 @@ class Sensor:
     """Frames of a source in real time, without end where it is a sensor.
 
     opened : opens the source
-    set_problem : is given a sentence when the sensor is lost, and None when it is found again
+    problem : the sentence on a sensor that is lost and looked for; None while it gives frames
     """
 
-    def __init__(
-        self,
-        name: str,
-        opened: Callable[[], Capture],
-        clock: Clock | None = None,
-        set_problem: ProblemChange = lambda _: None,
-    ) -> None:
+    def __init__(self, name: str, opened: Callable[[], Capture], clock: Clock | None = None) -> None:
         self.name = name
-        self.set_problem = set_problem
+        self.problem: str | None = None
         self._open, self._clock = opened, clock or SystemClock()
         self._capture: Capture | None = opened()
         self._closed = False
@@ -89,11 +82,11 @@ class Sensor:
                 try:
                     if self._capture is None:
                         self._capture = self._open()
-                        self.set_problem(None)
+                        self.problem = None
                     found = self._capture.read()
                 except (HalError, SourceError) as error:
                     self._release()
-                    self.set_problem(f"{error}")
+                    self.problem = str(error)
                     self._clock.sleep(RETRY_S)
                     continue
                 if found is None:

@@ -244,15 +244,17 @@ class LiveHeights:
         rate_hz: float | None = None,
         tap: Tap = lambda _: None,
     ) -> None:
-        self.problem: str | None = None
         self.has_sigma = sigma
         self._sensor, self._rate_hz = sensor, rate_hz or DEFAULT_RATE_HZ
-        if sensor is not None:
-            sensor.set_problem = self._set_problem
         self._stream = FrameStream(solver, 1 if newest else None, sigma=sigma)
         self._newest = NewestFrames(frames, tap) if newest else None
         self._solved = self._stream.solve(frames if self._newest is None else self._newest)
         self._began_ns: int | None = None
+
+    @property
+    def problem(self) -> str | None:
+        """The sentence on a sensor that was unplugged and is looked for; None while it gives frames."""
+        return None if self._sensor is None else self._sensor.problem
 
     @property
     def read(self) -> int:
@@ -284,9 +286,6 @@ class LiveHeights:
         if self._newest is not None:
             self._newest.close()
         self._stream.close()
-
-    def _set_problem(self, problem: str | None) -> None:
-        self.problem = problem
 
 
 def open_live(
