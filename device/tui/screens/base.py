@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, ClassVar, Final, cast
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, ClassVar, Final, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.containers import Container
@@ -11,6 +11,7 @@ from textual.screen import Screen
 from textual.theme import Theme
 from textual.widget import Widget
 
+from device.errors import DeviceError
 from device.instrument.instrument import Instrument
 from device.instrument.state import InstrumentState
 from device.store.choices import Display
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SPOT_LEFT: Final = "The search for the spot has ended: pushes scan."
 AREA_LEFT: Final = "The area has ended: its scans are kept."
+
+Result = TypeVar("Result")
 
 
 class InstrumentScreen(Screen[None]):
@@ -74,6 +77,24 @@ class InstrumentScreen(Screen[None]):
 
     def show_live(self, state: InstrumentState) -> None:
         """Show the live picture, if this screen has one; called less often on a slow terminal."""
+
+    def work(
+        self, task: Callable[[], Result], show: Callable[[Result], object], group: str = "", exclusive: bool = False
+    ) -> None:
+        """Work on another thread, so that a slow disk does not block the screens; then show the result, or the failure.
+
+        group, exclusive : as of Textual's workers
+        """
+
+        def work_and_show() -> None:
+            try:
+                result = task()
+            except DeviceError as error:
+                self.app.call_from_thread(self.retroscan.report_failure, str(error))
+            else:
+                self.app.call_from_thread(show, result)
+
+        self.run_worker(work_and_show, thread=True, group=group, exclusive=exclusive)
 
     async def short_push(self) -> None:
         """Handle a short push of the button on a screen where it does not scan."""

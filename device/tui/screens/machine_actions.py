@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from device.errors import DeviceError, MachineError
 from device.machine.interfaces import ClockStatus, Machine, WifiNetwork
@@ -29,9 +29,6 @@ ELSEWHERE: Final = "other"
 KEY: Final = "Password"
 KEY_HINT: Final = "8 to 63 characters · Enter: join · Escape: cancel"
 
-Read = Callable[[Callable[[], Any], Callable[[Any], None]], None]
-"""Calls the first function on another thread, and the second one with its result."""
-
 
 class MachineActions:
     """Panels and dialogs of the machine's settings.
@@ -40,13 +37,11 @@ class MachineActions:
     ----------
     screen : that shows the dialogs
     machine : whose settings these are
-    read : calls slow functions
     """
 
-    def __init__(self, screen: InstrumentScreen, machine: Machine, read: Read) -> None:
+    def __init__(self, screen: InstrumentScreen, machine: Machine) -> None:
         self._screen = screen
         self._machine = machine
-        self._read = read
         self._facts: dict[ActionName, str] = {}
 
     def refresh(self) -> None:
@@ -57,7 +52,7 @@ class MachineActions:
             "wifi": self._wifi_facts,
         }
         for name, facts in settings.items():
-            self._read(partial(_sentence_of, facts), partial(self._keep, name))
+            self._screen.work(partial(_sentence_of, facts), partial(self._keep, name))
 
     def panel(self, name: ActionName, meaning: str, now: datetime, columns: int) -> str:
         """Return the panel of a setting: its present state, and its meaning."""
@@ -74,7 +69,7 @@ class MachineActions:
             self._change(self._next_level)
         elif name == "wifi":
             self._screen.retroscan.notice = Notice("Looking for networks ...")
-            self._read(self._machine.wifi.networks, self._ask_for_network)
+            self._screen.work(self._machine.wifi.networks, self._ask_for_network)
         else:
             choices = ["Set date and time", "Set the time zone"]
             self._screen.app.push_screen(ChoiceDialog("Clock", choices), self._ask_about_clock)
@@ -85,7 +80,7 @@ class MachineActions:
 
     def _change(self, change: Callable[[], str]) -> None:
         """Change a setting on another thread, say what it is now, and read all again."""
-        self._read(change, self._changed)
+        self._screen.work(change, self._changed)
 
     def _changed(self, sentence: str) -> None:
         self._screen.retroscan.notice = Notice(sentence)
@@ -148,7 +143,7 @@ class MachineActions:
             fields = {"Date": f"{now:%Y-%m-%d}", "Time": f"{now:%H:%M}"}
             self._screen.app.push_screen(FieldsDialog("Date and time", fields, TIME_HINT, _complaint), self._set_time)
         elif chosen == 1:
-            self._read(self._machine.clock.zones, self._ask_for_region)
+            self._screen.work(self._machine.clock.zones, self._ask_for_region)
 
     def _set_time(self, fields: dict[str, str] | None) -> None:
         if fields is not None:

@@ -87,7 +87,7 @@ class ScansScreen(InstrumentScreen):
 
     def reread(self) -> None:
         """Read the history on another thread."""
-        self.run_worker(self._read_history, thread=True, group="history", exclusive=True)
+        self.work(self.instrument.history, self._show_history, "history", exclusive=True)
 
     def action_mark(self, opinion: str) -> None:
         """Mark the chosen scan good or bad, or remove the mark."""
@@ -121,15 +121,8 @@ class ScansScreen(InstrumentScreen):
             self.instrument.end_guiding()
             self.retroscan.notice = Notice(SPOT_LEFT)
         else:
-            self.run_worker(partial(self._find_spot, entry), thread=True, group="spot", exclusive=True)
-
-    def _find_spot(self, entry: ScanEntry) -> None:
-        try:
-            self.instrument.find_spot(entry.scan_id, entry.counter)
-        except DeviceError as error:
-            self.app.call_from_thread(self.retroscan.report_failure, str(error))
-            return
-        self.app.call_from_thread(self.app.call_later, self.retroscan.go, "scan")
+            find = partial(self.instrument.find_spot, entry.scan_id, entry.counter)
+            self.work(find, lambda _: self.app.call_later(self.retroscan.go, "scan"), "spot", exclusive=True)
 
     def action_find(self) -> None:
         """Show only scans with certain words."""
@@ -148,15 +141,7 @@ class ScansScreen(InstrumentScreen):
             self._list_scans()
 
     def _change(self, work: Callable[[], object], sentence: str) -> None:
-        self.run_worker(partial(self._change_then, work, sentence), thread=True, group="change")
-
-    def _change_then(self, work: Callable[[], object], sentence: str) -> None:
-        try:
-            work()
-        except DeviceError as error:
-            self.app.call_from_thread(self.retroscan.report_failure, str(error))
-            return
-        self.app.call_from_thread(self._changed, sentence)
+        self.work(work, lambda _: self._changed(sentence), "change")
 
     def _changed(self, sentence: str) -> None:
         self.retroscan.notice = Notice(sentence)
@@ -186,14 +171,6 @@ class ScansScreen(InstrumentScreen):
     def _entry(self) -> ScanEntry | None:
         chosen = self._list.chosen
         return self._scans[chosen] if chosen is not None and chosen < len(self._scans) else None
-
-    def _read_history(self) -> None:
-        try:
-            history = self.instrument.history()
-        except DeviceError as error:
-            self.app.call_from_thread(self.retroscan.report_failure, str(error))
-            return
-        self.app.call_from_thread(self._show_history, history)
 
     def _show_history(self, history: History) -> None:
         self._history = history
@@ -241,15 +218,7 @@ class ScansScreen(InstrumentScreen):
             self._write(entry, entry.mark.opinion if entry.mark else None, fields["Note"])
 
     def _write(self, entry: ScanEntry, opinion: Opinion | None, note: str) -> None:
-        self.run_worker(partial(self._write_mark, entry.scan_id, opinion, note), thread=True, group="mark")
-
-    def _write_mark(self, scan_id: str, opinion: Opinion | None, note: str) -> None:
-        try:
-            self.instrument.mark(scan_id, opinion, note)
-        except DeviceError as error:
-            self.app.call_from_thread(self.retroscan.report_failure, str(error))
-            return
-        self.app.call_from_thread(self.reread)
+        self.work(partial(self.instrument.mark, entry.scan_id, opinion, note), lambda _: self.reread(), "mark")
 
 
 # The history in lines: what a scan's line and details say, and which scans are shown in which order.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import ClassVar, Final, TypeVar
+from typing import ClassVar, Final
 
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
@@ -33,9 +33,6 @@ from device.tui.screens.panels import (
 from device.tui.widgets.dialogs import ChoiceDialog, ChoiceList, ConfirmDialog, FieldsDialog
 from device.tui.widgets.navigation import Notice, Words
 
-Read = TypeVar("Read")
-
-
 STANDARD_HINT: Final = "As on its certificate; the same unit for both"
 MAX_STANDARD_UM: Final = 1e5
 
@@ -54,7 +51,7 @@ class SetUpScreen(InstrumentScreen):
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
         self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
-        self._machine = MachineActions(self, instrument.machine, self._read)
+        self._machine = MachineActions(self, instrument.machine)
 
     def body(self) -> Iterable[Widget]:
         """Return the list and the panel."""
@@ -70,7 +67,7 @@ class SetUpScreen(InstrumentScreen):
 
     def on_screen_resume(self) -> None:
         """Read network, Wi-Fi, clock and brightness again: cables may have been plugged meanwhile."""
-        self._read(self.instrument.network, self._show_network)
+        self.work(self.instrument.network, self._show_network)
         self._machine.refresh()
         self._read_levels()
 
@@ -109,12 +106,12 @@ class SetUpScreen(InstrumentScreen):
             case "check":
                 self._check()
             case "gel":
-                self._read(self._known_gels, self._ask_for_gel)
+                self.work(self._known_gels, self._ask_for_gel)
             case "calibrations":
-                self._read(self.instrument.calibrations, self._ask_for_calibration)
+                self.work(self.instrument.calibrations, self._ask_for_calibration)
             case "stick":
                 self.retroscan.notice = Notice("Copying to the USB stick ...")
-                self._read(self.instrument.export_to_stick, self._show_export)
+                self.work(self.instrument.export_to_stick, self._show_export)
             case "display":
                 self.retroscan.switch_display()
             case "brightness" | "clock" | "wifi" as name:
@@ -159,18 +156,6 @@ class SetUpScreen(InstrumentScreen):
         if chosen.name in {"brightness", "clock", "wifi"}:
             return self._machine.panel(chosen.name, chosen.meaning, now, columns)
         return chosen.meaning or instrument_panel(state, self.retroscan.program, self._network, columns, now)
-
-    def _read(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
-        """Read on another thread, so that a slow disk does not block the screens."""
-        self.run_worker(partial(self._read_then, read, show), thread=True)
-
-    def _read_then(self, read: Callable[[], Read], show: Callable[[Read], None]) -> None:
-        try:
-            result = read()
-        except DeviceError as error:
-            self.app.call_from_thread(self.retroscan.report_failure, str(error))
-            return
-        self.app.call_from_thread(show, result)
 
     def _show_export(self, outcome: StickExport) -> None:
         self.retroscan.notice = Notice(outcome.sentence, "error" if outcome.failed else "success")
