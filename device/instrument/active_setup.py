@@ -120,7 +120,7 @@ class ActiveSetup:
         self._states.update(check=replace(check, is_due=is_due))
 
     def set_standard(self, standard: CheckStandard) -> None:
-        """Enter another check standard."""
+        """Enter the check standard; its history stays."""
         try:
             write_standard(self._store.root, standard)
         except DeviceError as error:
@@ -128,7 +128,7 @@ class ActiveSetup:
         self.report_check()
 
     def begin_check(self) -> None:
-        """Make the next press one of the check standard; a second call takes that back."""
+        """The next press is of the check standard, and is judged; once more: it is not."""
         self.report_check()
         check = self._states.state.check
         if check.standard is None:
@@ -197,7 +197,7 @@ class ActiveSetup:
         self._states.update(gel=gel, health=health_state(health, gel, self._zero))
 
     def check_zero(self) -> None:
-        """Take a frame of untouched skin and report how flat it reads."""
+        """Take a frame of untouched skin; `ZeroChecked` says how flat it reads."""
         try:
             scanner = self.scanner()
             zero = scanner.health.check_zero(scanner.capture().frame)
@@ -221,8 +221,8 @@ class ActiveSetup:
         """
         return read_code(capture(self._hardware, CaptureSettings.of_board(self._hardware)))
 
-    def change_gel(self, gel_id: str, slab_thickness_mm: float | None) -> None:
-        """Mount another gel: its calibration becomes active, or scans are refused.
+    def change_gel(self, gel_id: str, slab_thickness_mm: float | None = None) -> None:
+        """Mount another gel: its calibration becomes active (`Info`), or scans are refused (`Failed`).
 
         slab_thickness_mm : of a new gel; None: the board profile's
         """
@@ -245,7 +245,7 @@ class ActiveSetup:
         return self._scanner.plan if self._scanner else None
 
     def forget_balance(self) -> None:
-        """Take the board profile's exposure and currents for the next calibration again."""
+        """Take the board profile's exposure and currents for the next calibration again: `Info`."""
         try:
             BALANCE.remove(self._store.root)
             self._report_next_light(self.fitted())
@@ -256,7 +256,7 @@ class ActiveSetup:
         self._states.publish(Info("The next calibration uses the board profile's exposure and currents again."))
 
     def roll_back(self) -> None:
-        """Activate the previous calibration."""
+        """Activate the previous calibration: `Info`, or `Failed` without one."""
         try:
             entry = self._registry().roll_back()
         except DeviceError as error:
@@ -266,7 +266,7 @@ class ActiveSetup:
         self._states.publish(Info(f"Rolled back to version {entry.version}: {entry.calibration_id} is active."))
 
     def activate(self, calibration_id: str) -> None:
-        """Activate a stored calibration."""
+        """Activate a stored calibration: `Info`, or `Failed` if it is foreign, stale or damaged."""
         try:
             self._registry().activate(calibration_id)
         except DeviceError as error:

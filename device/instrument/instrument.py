@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from datetime import datetime
+from functools import wraps
 from pathlib import Path
-from typing import Any, Final, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, Self, TypeVar
 
 from msgspec import structs
 
 from device.acquisition.precise_capture import mode_fault
-from device.bundles.check import CheckStandard
 from device.bundles.scan import Annotations, Retake
 from device.errors import DeviceError, RecordError
 from device.guidance.placement import Target
@@ -51,15 +51,36 @@ from hal.errors import HalError
 from hal.hardware import Hardware
 from hal.interfaces import FaultName, LiftOff, PressObject, SetFault
 
-"""Default radius of the calibration ball."""
-
-
 MAX_PART: Final = 80
 """Characters of a part's name, as its field on the screen."""
 
 Arguments = ParamSpec("Arguments")
 
 Result = TypeVar("Result")
+
+
+def _command(
+    work: Callable[Concatenate[InstrumentWorker, Arguments], None],
+) -> Callable[Concatenate[Instrument, Arguments], None]:
+    """Return the method that lets the next step do the work of this method of its worker."""
+
+    @wraps(work)
+    def enqueue(instrument: Instrument, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+        instrument._worker.enqueue(lambda worker: work(worker, *args, **kwargs))
+
+    return enqueue
+
+
+def _maintenance(
+    work: Callable[Concatenate[ActiveSetup, Arguments], None],
+) -> Callable[Concatenate[Instrument, Arguments], None]:
+    """Return the method that lets the next step do this work on gel, calibration or zero."""
+
+    @wraps(work)
+    def maintain(worker: InstrumentWorker, /, *args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+        worker.maintain(lambda setup: work(setup, *args, **kwargs))
+
+    return _command(maintain)
 
 
 class Instrument:
@@ -113,11 +134,31 @@ class Instrument:
         """Return the events since the last call, oldest first."""
         return self._states.take_events()
 
-    # Commands: from any thread, executed by the next step.
+    # Commands: from any thread, executed by the next step; their methods say what they do.
 
-    def press(self) -> None:
-        """Act like a push of the button: scan, or take the next calibration frame."""
-        self._worker.enqueue(InstrumentWorker.press)
+    press = _command(InstrumentWorker.press)
+    cover_area = _command(InstrumentWorker.cover_area)
+    end_guiding = _command(InstrumentWorker.end_guiding)
+    redirect_button = _command(InstrumentWorker.redirect_button)
+    cancel_run = _command(InstrumentWorker.cancel_run)
+    run_selftest = _command(InstrumentWorker.selftest)
+    ask_about_checks = _command(InstrumentWorker.ask_about_checks)
+    answer_check = _command(InstrumentWorker.answer_check)
+    read_focus = _command(InstrumentWorker.read_focus)
+    read_levels = _command(InstrumentWorker.read_levels)
+    open_pairing = _command(InstrumentWorker.open_pairing)
+    open_pairing_when_new = _command(InstrumentWorker.open_pairing_when_new)
+    power_off = _command(InstrumentWorker.power_off)
+
+    # Of gel, calibration and zero: `Failed` during a calibration or an exposure balance.
+
+    forget_balance = _maintenance(ActiveSetup.forget_balance)
+    set_standard = _maintenance(ActiveSetup.set_standard)
+    begin_check = _maintenance(ActiveSetup.begin_check)
+    zero_check = _maintenance(ActiveSetup.check_zero)
+    change_gel = _maintenance(ActiveSetup.change_gel)
+    roll_back = _maintenance(ActiveSetup.roll_back)
+    activate = _maintenance(ActiveSetup.activate)
 
     def demonstrate(self, name: str, way: tuple[float, float, float] | None = None, *, pushes: bool = True) -> None:
         """Let the twin's operator press an object of its gallery; no effect on a real board.
@@ -167,14 +208,6 @@ class Instrument:
         spot, target = SpotState(scan_id, counter, height, FIRST), Target(height)
         self._worker.enqueue(lambda worker: worker.find_spot(spot, target))
 
-    def cover_area(self, width_mm: float, height_mm: float) -> None:
-        """Place later scans in an area, from its upper left corner, until `end_guiding`: the state's `area`."""
-        self._worker.enqueue(lambda worker: worker.cover_area(width_mm, height_mm))
-
-    def end_guiding(self) -> None:
-        """Later pushes scan as usual."""
-        self._worker.enqueue(InstrumentWorker.end_guiding)
-
     def read_code(self) -> None:
         """Name the next part by the QR code or barcode that is held before the camera: `Info`, or `Failed`."""
         self._worker.enqueue(lambda worker: worker.maintain(self._name_by_code))
@@ -197,10 +230,6 @@ class Instrument:
         except DeviceError as error:
             self._states.publish(Failed(str(error)))
 
-    def redirect_button(self, short_too: bool) -> None:
-        """Report long pushes as `ButtonPushed`; with `short_too` also short ones, which then do not scan."""
-        self._worker.enqueue(lambda worker: worker.redirect_button(short_too))
-
     def show_live(self, shown: bool) -> None:
         """Take live frames for a screen that shows them, or fewer."""
         self._states.update(live_shown=shown)
@@ -216,70 +245,6 @@ class Instrument:
     def start_balance(self) -> None:
         """Start the exposure balance; each push of the button or `press` measures the ball that is pressed then."""
         self._worker.enqueue(lambda worker: worker.start_balance(self._ball_radius_mm))
-
-    def forget_balance(self) -> None:
-        """Take the board profile's exposure and currents for the next calibration again: `Info`."""
-        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.forget_balance))
-
-    def cancel_run(self) -> None:
-        """Stop the guided calibration or the exposure balance; what was active before stays so."""
-        self._worker.enqueue(InstrumentWorker.cancel_run)
-
-    def run_selftest(self) -> None:
-        """Test every part; findings come as `SelfTested`."""
-        self._worker.enqueue(InstrumentWorker.selftest)
-
-    def set_standard(self, standard: CheckStandard) -> None:
-        """Enter the check standard; its history stays."""
-        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.set_standard(standard)))
-
-    def begin_check(self) -> None:
-        """The next press is of the check standard, and is judged; once more: it is not."""
-        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.begin_check))
-
-    def ask_about_checks(self) -> None:
-        """Report a check standard that reads as another common ball as `CheckAsked`, to be answered, from now on."""
-        self._worker.enqueue(InstrumentWorker.ask_about_checks)
-
-    def answer_check(self, *, is_standard: bool) -> None:
-        """Answer `CheckAsked`: the ball is the standard, and the check failed; or it is not, and is pressed again."""
-        self._worker.enqueue(lambda worker: worker.answer_check(is_standard))
-
-    def zero_check(self) -> None:
-        """Take a frame of untouched skin; `ZeroChecked` says how flat it reads."""
-        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.check_zero))
-
-    def change_gel(self, gel_id: str, slab_thickness_mm: float | None = None) -> None:
-        """Mount another gel: its calibration becomes active (`Info`), or scans are refused (`Failed`)."""
-        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.change_gel(gel_id, slab_thickness_mm)))
-
-    def roll_back(self) -> None:
-        """Activate the previous calibration: `Info`, or `Failed` without one."""
-        self._worker.enqueue(lambda worker: worker.maintain(ActiveSetup.roll_back))
-
-    def activate(self, calibration_id: str) -> None:
-        """Activate a stored calibration: `Info`, or `Failed` if it is foreign, stale or damaged."""
-        self._worker.enqueue(lambda worker: worker.maintain(lambda setup: setup.activate(calibration_id)))
-
-    def read_focus(self, on: bool) -> None:
-        """Read how sharp the lens is set into the state's `focus`, live, or no longer; it ends after ten minutes."""
-        self._worker.enqueue(lambda worker: worker.read_focus(on))
-
-    def read_levels(self, on: bool) -> None:
-        """Read the light on the skin into the state's `levels`, live, or no longer; it ends after ten minutes."""
-        self._worker.enqueue(lambda worker: worker.read_levels(on))
-
-    def open_pairing(self) -> None:
-        """Open the pairing window for two minutes, or confirm the code in the state: `PairingChanged`."""
-        self._worker.enqueue(InstrumentWorker.open_pairing)
-
-    def open_pairing_when_new(self) -> None:
-        """Open the pairing window if no workstation was ever paired."""
-        self._worker.enqueue(InstrumentWorker.open_pairing_when_new)
-
-    def power_off(self) -> None:
-        """Finish running work, switch the lights off and report `PowerOffRequested`."""
-        self._worker.enqueue(InstrumentWorker.power_off)
 
     # Scans and calibrations on the disk: from any thread, immediately.
 

@@ -138,7 +138,7 @@ class InstrumentWorker:
         self._release()
 
     def press(self) -> None:
-        """Handle a push of the screen's button."""
+        """Act like a push of the button: scan, or take the next calibration frame."""
         if self._run:
             self._live.wake()
             self._run.press()
@@ -147,7 +147,7 @@ class InstrumentWorker:
             self._scan("screen")
 
     def redirect_button(self, short_too: bool) -> None:
-        """Report long pushes as events from now on, and optionally short ones instead of a scan."""
+        """Report long pushes as `ButtonPushed`; with `short_too` also short ones, which then do not scan."""
         self._redirects_long, self._redirects_short = True, short_too
 
     def start_calibration(self, ball_radius_mm: float, *, by_button: bool = False) -> None:
@@ -180,12 +180,12 @@ class InstrumentWorker:
         self._run.begin()
 
     def cancel_run(self) -> None:
-        """Stop the guided calibration or the exposure balance."""
+        """Stop the guided calibration or the exposure balance; what was active before stays so."""
         if self._run:
             self._run.cancel()
 
     def selftest(self) -> None:
-        """Test every part by itself, then reopen the hardware."""
+        """Test every part by itself, then reopen the hardware; findings come as `SelfTested`."""
         self.states.update(activity="self-test")
         self._release()
         before = None
@@ -198,7 +198,7 @@ class InstrumentWorker:
         self.open()
 
     def power_off(self) -> None:
-        """Finish running work, switch the lights off and report it."""
+        """Finish running work, switch the lights off and report `PowerOffRequested`."""
         self.close()
         self._deleted.purge()
         self.states.update(activity="off", live=None)
@@ -214,11 +214,11 @@ class InstrumentWorker:
         self._live.lights_changed()
 
     def ask_about_checks(self) -> None:
-        """A front end can ask the operator from now on."""
+        """Report a check standard that reads as another common ball as `CheckAsked`, to be answered, from now on."""
         self._scans.asks = True
 
-    def answer_check(self, is_standard: bool) -> None:
-        """Go on with the check that was asked about."""
+    def answer_check(self, *, is_standard: bool) -> None:
+        """Answer `CheckAsked`: the ball is the standard, and the check failed; or it is not, and is pressed again."""
         self._live.wake()
         self._scans.answer_check(is_standard=is_standard)
 
@@ -228,17 +228,17 @@ class InstrumentWorker:
         self.spot.begin(spot, target)
 
     def cover_area(self, width_mm: float, height_mm: float) -> None:
-        """Place later scans in an area."""
+        """Place later scans in an area, from its upper left corner, until `end_guiding`: the state's `area`."""
         self.spot.end()
         self.area.begin(width_mm, height_mm)
 
     def end_guiding(self) -> None:
-        """Scan as usual from now on."""
+        """Later pushes scan as usual."""
         self.spot.end()
         self.area.end()
 
     def read_focus(self, on: bool) -> None:
-        """Read how sharp the lens is set from now on, or no longer."""
+        """Read how sharp the lens is set into the state's `focus`, live, or no longer; it ends after ten minutes."""
         if not on:
             self._focus.stop()
         elif self._run or not self._is_open:
@@ -247,19 +247,19 @@ class InstrumentWorker:
             self._focus.start()
 
     def read_levels(self, on: bool) -> None:
-        """Read the light on the skin from now on, or no longer."""
+        """Read the light on the skin into the state's `levels`, live, or no longer; it ends after ten minutes."""
         if on and self._is_open:
             self._levels.start()
         else:
             self._levels.stop()
 
     def open_pairing(self) -> None:
-        """Open the pairing window, or confirm the code that it shows."""
+        """Open the pairing window for two minutes, or confirm the code in the state: `PairingChanged`."""
         if self._pairing.open():
             show(self.hardware, "pairing")
 
     def open_pairing_when_new(self) -> None:
-        """Open the pairing window of a device that was never paired."""
+        """Open the pairing window if no workstation was ever paired."""
         if self._pairing.open_when_new():
             show(self.hardware, "pairing")
 
