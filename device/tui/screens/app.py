@@ -57,25 +57,6 @@ ASTRAY: Final = ((1.5, -1.0, 6.0), (-1.387, 1.151, -6.0))
 """Ways of demonstrated touches that know none, in turn from the spot and back: mm right, mm down, degrees clockwise."""
 STILL: Final = (0.0, 0.0, 0.0)
 
-KEYS_IN_WORDS: Final = {
-    "go('scan')": "Scan",
-    "go('calibrate')": "Calibrate",
-    "go('scans')": "Scans",
-    "go('set-up')": "Set-up",
-    "view": "relief in pixels",
-    "interrupt": "quit",
-    "choose(-1)": "previous line",
-    "move(-1, 0)": "cursor up",
-    "move(1, 0)": "cursor down",
-    "move(0, -1)": "cursor left",
-    "move(0, 1)": "cursor right",
-    "choose(10)": "ten lines on",
-    "choose(-10)": "ten lines back",
-    "choose_end(0)": "first line",
-    "choose_end(-1)": "last line",
-}
-"""Keys that the bottom line does not show, by action."""
-
 FRAMEWORK_ACTIONS: Final = frozenset(
     {
         "app.focus_next",
@@ -121,14 +102,14 @@ class RetroscanApp(App[str]):
     ENABLE_COMMAND_PALETTE = False
     TITLE = "retroscan"
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("1", "go('scan')", show=False),
-        Binding("2", "go('calibrate')", show=False),
-        Binding("3", "go('scans')", show=False),
-        Binding("4", "go('set-up')", show=False),
+        Binding("1", "go('scan')", "Scan", show=False),
+        Binding("2", "go('calibrate')", "Calibrate", show=False),
+        Binding("3", "go('scans')", "Scans", show=False),
+        Binding("4", "go('set-up')", "Set-up", show=False),
         Binding("f", "faults", "faults"),
         Binding("question_mark", "keys", "keys", key_display="?"),
         Binding("q", "quit", "quit"),
-        Binding("ctrl+c", "interrupt", show=False),
+        Binding("ctrl+c", "interrupt", "quit", show=False),
     ]
 
     def __init__(
@@ -238,11 +219,8 @@ class RetroscanApp(App[str]):
         keys: dict[str, str] = {}
         for active in self.screen.active_bindings.values():
             binding = active.binding
-            if binding.action in FRAMEWORK_ACTIONS:
-                continue
-            if active.enabled and (
-                what := binding.tooltip or binding.description or KEYS_IN_WORDS.get(binding.action, "")
-            ):
+            what = binding.tooltip or binding.description
+            if what and active.enabled and binding.action not in FRAMEWORK_ACTIONS:
                 keys.setdefault(self.get_key_display(binding), what)
         self.push_screen(KeysDialog(list(keys.items())))
 

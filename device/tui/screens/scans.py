@@ -47,7 +47,7 @@ class ScansScreen(InstrumentScreen):
         Binding("z", "undo", "undo"),
         Binding("slash", "find", "find", key_display="/"),
         Binding("s", "sort", "sort"),
-        Binding("v", "view", show=False),
+        Binding("v", "view", "relief in pixels", show=False),
     ]
 
     def __init__(self, instrument: Instrument, depth: ColourDepth) -> None:

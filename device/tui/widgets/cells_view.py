@@ -187,10 +187,10 @@ class HeightView(CellsView, can_focus=True):
         Binding("l", "level", "level", show=False),
         Binding("plus", "zoom(2)", "zoom in", show=False, key_display="+"),
         Binding("minus", "zoom(0.5)", "zoom out", show=False, key_display="-"),
-        Binding("up", "move(-1, 0)", show=False),
-        Binding("down", "move(1, 0)", show=False),
-        Binding("left", "move(0, -1)", show=False),
-        Binding("right", "move(0, 1)", show=False),
+        Binding("up", "move(-1, 0)", "cursor up", show=False),
+        Binding("down", "move(1, 0)", "cursor down", show=False),
+        Binding("left", "move(0, -1)", "cursor left", show=False),
+        Binding("right", "move(0, 1)", "cursor right", show=False),
     ]
 
     @dataclass

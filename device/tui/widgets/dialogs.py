@@ -226,11 +226,11 @@ class LineList(ScrollView, can_focus=True):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "choose(1)", "choose", key_display="↑↓"),
-        Binding("up", "choose(-1)", show=False),
-        Binding("pagedown", "choose(10)", show=False),
-        Binding("pageup", "choose(-10)", show=False),
-        Binding("home", "choose_end(0)", show=False),
-        Binding("end", "choose_end(-1)", show=False),
+        Binding("up", "choose(-1)", "previous line", show=False),
+        Binding("pagedown", "choose(10)", "ten lines on", show=False),
+        Binding("pageup", "choose(-10)", "ten lines back", show=False),
+        Binding("home", "choose_end(0)", "first line", show=False),
+        Binding("end", "choose_end(-1)", "last line", show=False),
     ]
 
     @dataclass
