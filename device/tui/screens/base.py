@@ -17,6 +17,7 @@ from device.instrument.state import InstrumentState
 from device.store.choices import Display
 from device.tui.drawing.cells import ColourDepth
 from device.tui.screens.panels import state_text
+from device.tui.widgets.dialogs import Answer, Dialog
 from device.tui.widgets.navigation import KeyHints, NavigationBar, Notice, NoticeLine, Place, Words
 
 if TYPE_CHECKING:
@@ -95,6 +96,15 @@ class InstrumentScreen(Screen[None]):
                 self.app.call_from_thread(show, result)
 
         self.run_worker(work_and_show, thread=True, group=group, exclusive=exclusive)
+
+    def ask(self, dialog: Dialog[Answer], answered: Callable[[Answer], object]) -> None:
+        """Show a dialog, and call `answered` with its answer unless it is cancelled."""
+
+        def closed(answer: Answer | None) -> None:
+            if answer is not None:
+                answered(answer)
+
+        self.app.push_screen(dialog, closed)
 
     async def short_push(self) -> None:
         """Handle a short push of the button on a screen where it does not scan."""

@@ -72,7 +72,7 @@ class MachineActions:
             self._screen.work(self._machine.wifi.networks, self._ask_for_network)
         else:
             choices = ["Set date and time", "Set the time zone"]
-            self._screen.app.push_screen(ChoiceDialog("Clock", choices), self._ask_about_clock)
+            self._screen.ask(ChoiceDialog("Clock", choices), self._ask_about_clock)
 
     def _keep(self, name: ActionName, facts: str) -> None:
         self._facts[name] = facts
@@ -113,21 +113,15 @@ class MachineActions:
             return
         lines = [_network_line(network) for network in networks]
         dialog = ChoiceDialog("Which Wi-Fi network?", lines)
-        self._screen.app.push_screen(dialog, partial(self._join_chosen, networks))
+        self._screen.ask(dialog, partial(self._join_chosen, networks))
 
-    def _join_chosen(self, networks: Sequence[WifiNetwork], chosen: int | None) -> None:
-        if chosen is None:
-            return
+    def _join_chosen(self, networks: Sequence[WifiNetwork], chosen: int) -> None:
         network = networks[chosen]
         if network.security != "password":
             self._join(network, "")
             return
         dialog = FieldsDialog(network.name, {KEY: ""}, KEY_HINT, _password_wrong, secret=KEY)
-        self._screen.app.push_screen(dialog, partial(self._join_with, network))
-
-    def _join_with(self, network: WifiNetwork, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self._join(network, fields[KEY])
+        self._screen.ask(dialog, lambda fields: self._join(network, fields[KEY]))
 
     def _join(self, network: WifiNetwork, password: str) -> None:
         self._screen.retroscan.notice = Notice(f"Joining {network.name} ...")
@@ -137,17 +131,16 @@ class MachineActions:
         self._machine.wifi.join(network, password)
         return f"Joined {network.name}; it is joined again whenever it is in range."
 
-    def _ask_about_clock(self, chosen: int | None) -> None:
+    def _ask_about_clock(self, chosen: int) -> None:
         if chosen == 0:
             now = self._screen.instrument.wall_time().astimezone()
             fields = {"Date": f"{now:%Y-%m-%d}", "Time": f"{now:%H:%M}"}
-            self._screen.app.push_screen(FieldsDialog("Date and time", fields, TIME_HINT, _complaint), self._set_time)
+            self._screen.ask(FieldsDialog("Date and time", fields, TIME_HINT, _complaint), self._set_time)
         elif chosen == 1:
             self._screen.work(self._machine.clock.zones, self._ask_for_region)
 
-    def _set_time(self, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self._change(partial(self._set_time_to, _time_of(fields)))
+    def _set_time(self, fields: dict[str, str]) -> None:
+        self._change(partial(self._set_time_to, _time_of(fields)))
 
     def _set_time_to(self, local: datetime) -> str:
         self._machine.clock.set_time(local)
@@ -155,17 +148,14 @@ class MachineActions:
 
     def _ask_for_region(self, zones: Sequence[str]) -> None:
         regions = sorted({_region(zone) for zone in zones})
-        self._screen.app.push_screen(ChoiceDialog("Region", regions), partial(self._ask_for_zone, zones, regions))
+        self._screen.ask(ChoiceDialog("Region", regions), partial(self._ask_for_zone, zones, regions))
 
-    def _ask_for_zone(self, zones: Sequence[str], regions: Sequence[str], chosen: int | None) -> None:
-        if chosen is None:
-            return
+    def _ask_for_zone(self, zones: Sequence[str], regions: Sequence[str], chosen: int) -> None:
         within = [zone for zone in zones if _region(zone) == regions[chosen]]
-        self._screen.app.push_screen(ChoiceDialog("Time zone", within), partial(self._set_zone, within))
+        self._screen.ask(ChoiceDialog("Time zone", within), partial(self._set_zone, within))
 
-    def _set_zone(self, zones: Sequence[str], chosen: int | None) -> None:
-        if chosen is not None:
-            self._change(partial(self._set_zone_to, zones[chosen]))
+    def _set_zone(self, zones: Sequence[str], chosen: int) -> None:
+        self._change(partial(self._set_zone_to, zones[chosen]))
 
     def _set_zone_to(self, name: str) -> str:
         self._machine.clock.set_zone(name)

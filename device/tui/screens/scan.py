@@ -142,13 +142,12 @@ class ScanScreen(InstrumentScreen):
             self.action_leave()
             return
         dialog = FieldsDialog("Cover an area", self._area_mm, AREA_HINT, area_complaint, replaces=True)
-        self.app.push_screen(dialog, self._cover_area)
+        self.ask(dialog, self._cover_area)
 
-    def _cover_area(self, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self._area_mm = fields
-            width_mm, height_mm = (float(text) for text in fields.values())
-            self.instrument.cover_area(width_mm, height_mm)
+    def _cover_area(self, fields: dict[str, str]) -> None:
+        self._area_mm = fields
+        width_mm, height_mm = (float(text) for text in fields.values())
+        self.instrument.cover_area(width_mm, height_mm)
 
     def action_auto(self) -> None:
         """Toggle the auto-shutter."""
@@ -188,11 +187,9 @@ class ScanScreen(InstrumentScreen):
         presets, present = self.instrument.presets(), self.instrument.state.sticky
         lines = [f"Store: {sticky_text(present)}", *(sticky_text(preset) for preset in presets)]
         dialog = ChoiceDialog("Job, part and operator", lines, 1 if presets else 0)
-        self.app.push_screen(dialog, partial(self._choose_preset, presets))
+        self.ask(dialog, partial(self._choose_preset, presets))
 
-    def _choose_preset(self, presets: tuple[Annotations, ...], chosen: int | None) -> None:
-        if chosen is None:
-            return
+    def _choose_preset(self, presets: tuple[Annotations, ...], chosen: int) -> None:
         sticky = self.instrument.state.sticky
         if chosen:
             self.instrument.set_sticky(structs.replace(presets[chosen - 1], note=sticky.note))
@@ -214,7 +211,7 @@ class ScanScreen(InstrumentScreen):
         sticky = self.instrument.state.sticky
         fields = {"Job": sticky.job or "", "Part": sticky.part or "", "Operator": sticky.operator or ""}
         dialog = FieldsDialog("Stored with every scan from now on", fields, "Enter: next field · Escape: cancel")
-        self.app.push_screen(dialog, self._save_sticky)
+        self.ask(dialog, self._save_sticky)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only the twin can press objects, and only a mode can be left."""
@@ -223,9 +220,7 @@ class ScanScreen(InstrumentScreen):
             return state.spot is not None or state.area is not None
         return self.retroscan.is_twin if action == "demonstrate" else super().check_action(action, parameters)
 
-    def _save_sticky(self, fields: dict[str, str] | None) -> None:
-        if fields is None:
-            return
+    def _save_sticky(self, fields: dict[str, str]) -> None:
         note = self.instrument.state.sticky.note
         job, part, operator = (fields[name] or None for name in ("Job", "Part", "Operator"))
         self.instrument.set_sticky(Annotations(job=job, part=part, operator=operator, note=note))

@@ -98,9 +98,9 @@ class ScansScreen(InstrumentScreen):
     def action_note(self) -> None:
         """Edit the chosen scan's note."""
         if entry := self._entry():
-            note = entry.mark.note if entry.mark else ""
+            opinion, note = (entry.mark.opinion, entry.mark.note) if entry.mark else (None, "")
             dialog = FieldsDialog(f"Scan #{entry.counter}", {"Note": note}, "Enter: save · Escape: cancel")
-            self.app.push_screen(dialog, partial(self._save_note, entry))
+            self.ask(dialog, lambda fields: self._write(entry, opinion, fields["Note"]))
 
     def action_delete(self) -> None:
         """Delete the chosen scan; undo brings it back until power off."""
@@ -127,7 +127,7 @@ class ScansScreen(InstrumentScreen):
     def action_find(self) -> None:
         """Show only scans with certain words."""
         dialog = FieldsDialog("Which scans?", {"Words": self._words_wanted}, FIND_HINT)
-        self.app.push_screen(dialog, self._find)
+        self.ask(dialog, self._find)
 
     def action_sort(self) -> None:
         """Show the scans in the next order."""
@@ -135,10 +135,9 @@ class ScansScreen(InstrumentScreen):
         self.retroscan.notice = Notice(f"Sorted {self._order}.")
         self._list_scans()
 
-    def _find(self, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self._words_wanted = fields["Words"]
-            self._list_scans()
+    def _find(self, fields: dict[str, str]) -> None:
+        self._words_wanted = fields["Words"]
+        self._list_scans()
 
     def _change(self, work: Callable[[], object], sentence: str) -> None:
         self.work(work, lambda _: self._changed(sentence), "change")
@@ -212,10 +211,6 @@ class ScansScreen(InstrumentScreen):
     def _show_quick_look(self, scan_id: str, height: HeightMap | None, sentence: str) -> None:
         if scan_id == self._shown:
             self._relief.show(height, screen_advice(sentence))
-
-    def _save_note(self, entry: ScanEntry, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self._write(entry, entry.mark.opinion if entry.mark else None, fields["Note"])
 
     def _write(self, entry: ScanEntry, opinion: Opinion | None, note: str) -> None:
         self.work(partial(self.instrument.mark, entry.scan_id, opinion, note), lambda _: self.reread(), "mark")

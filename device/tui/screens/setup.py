@@ -94,9 +94,9 @@ class SetUpScreen(InstrumentScreen):
                 self.instrument.open_pairing()
             case "test" if self.instrument.state.activity in {"calibrating", "balancing"}:
                 question = "Stop and test all parts? The calibration that was active before stays so."
-                self.app.push_screen(ConfirmDialog(question, "Stop and test"), self._selftest)
+                self.ask(ConfirmDialog(question, "Stop and test"), lambda _: self._selftest())
             case "test":
-                self._selftest(True)
+                self._selftest()
             case "focus":
                 self.instrument.read_focus(self.instrument.state.focus is None)
             case "exposure":
@@ -118,14 +118,13 @@ class SetUpScreen(InstrumentScreen):
                 self._machine.start(name)
             case "off":
                 question = "Power off? Running work is stored first."
-                self.app.push_screen(ConfirmDialog(question, "Power off"), self._power_off)
+                self.ask(ConfirmDialog(question, "Power off"), lambda _: self.instrument.power_off())
             case _:
                 await self.retroscan.go("scan")
 
-    def _selftest(self, agreed: bool | None) -> None:
-        if agreed:
-            self.retroscan.findings.clear()
-            self.instrument.run_selftest()
+    def _selftest(self) -> None:
+        self.retroscan.findings.clear()
+        self.instrument.run_selftest()
 
     async def short_push(self) -> None:
         """Choose the next action; after the last one the first."""
@@ -183,9 +182,9 @@ class SetUpScreen(InstrumentScreen):
         light = self.instrument.state.next_light
         if light and light.is_balanced:
             lines.append("Board profile's exposure again")
-        self.app.push_screen(ChoiceDialog("Exposure of the next calibration", lines), self._start_balance)
+        self.ask(ChoiceDialog("Exposure of the next calibration", lines), self._start_balance)
 
-    def _start_balance(self, chosen: int | None) -> None:
+    def _start_balance(self, chosen: int) -> None:
         if chosen == 0:
             self.instrument.start_balance()
         elif chosen == 1:
@@ -198,28 +197,22 @@ class SetUpScreen(InstrumentScreen):
             self._ask_for_standard(1)
             return
         now = "Do not check" if self.instrument.state.check.is_next else f"Press {standard.name} now"
-        self.app.push_screen(ChoiceDialog("Check standard", [now, "Enter another standard"]), self._ask_for_standard)
+        self.ask(ChoiceDialog("Check standard", [now, "Enter another standard"]), self._ask_for_standard)
 
-    def _ask_for_standard(self, chosen: int | None) -> None:
+    def _ask_for_standard(self, chosen: int) -> None:
         if chosen == 0:
             self.instrument.begin_check()
             self.app.call_later(self.retroscan.go, "scan")
         elif chosen == 1:
             kinds = [f"{kind}, {unit}" for kind, (unit, _) in UNITS.items()]
-            self.app.push_screen(ChoiceDialog("What is certified?", kinds), self._ask_for_value)
+            self.ask(ChoiceDialog("What is certified?", kinds), self._ask_for_value)
 
-    def _ask_for_value(self, chosen: int | None) -> None:
-        if chosen is None:
-            return
+    def _ask_for_value(self, chosen: int) -> None:
         kind = tuple(UNITS)[chosen]
         what = {"ball": "Radius", "step": "Height", "roughness": "Ra"}[kind]
         fields = {"Name": kind, f"{what}, {UNITS[kind][0]}": "", "±": ""}
         dialog = FieldsDialog("Check standard", fields, STANDARD_HINT, lambda texts: _standard_complaint(kind, texts))
-        self.app.push_screen(dialog, partial(self._set_standard, kind))
-
-    def _set_standard(self, kind: StandardKind, fields: dict[str, str] | None) -> None:
-        if fields is not None:
-            self.instrument.set_standard(_standard(kind, fields))
+        self.ask(dialog, lambda texts: self.instrument.set_standard(_standard(kind, texts)))
 
     def _known_gels(self) -> list[str]:
         """Return gels that were mounted here, or have a calibration here."""
@@ -229,22 +222,16 @@ class SetUpScreen(InstrumentScreen):
     def _ask_for_gel(self, gels: Sequence[str]) -> None:
         chosen = gels.index(self.instrument.state.gel.gel_id)
         dialog = ChoiceDialog("Which gel is mounted?", [*gels, "another gel"], chosen)
-        self.app.push_screen(dialog, partial(self._change_gel, gels))
+        self.ask(dialog, partial(self._change_gel, gels))
 
-    def _change_gel(self, gels: Sequence[str], chosen: int | None) -> None:
-        if chosen is None:
-            return
+    def _change_gel(self, gels: Sequence[str], chosen: int) -> None:
         if chosen < len(gels):
             self.instrument.change_gel(gels[chosen])
             return
         thickness = f"{self.instrument.state.gel.slab_thickness_mm:g}"
         fields = {"Name": "", "Slab, mm": thickness}
-        self.app.push_screen(FieldsDialog("New gel", fields, GEL_HINT, _gel_complaint), self._new_gel)
-
-    def _new_gel(self, fields: dict[str, str] | None) -> None:
-        if fields is None:
-            return
-        self.instrument.change_gel(fields["Name"], _thickness_mm(fields))
+        dialog = FieldsDialog("New gel", fields, GEL_HINT, _gel_complaint)
+        self.ask(dialog, lambda texts: self.instrument.change_gel(texts["Name"], _thickness_mm(texts)))
 
     def _ask_for_calibration(self, calibrations: Sequence[RegisteredCalibration]) -> None:
         if not calibrations:
@@ -253,15 +240,11 @@ class SetUpScreen(InstrumentScreen):
         lines = [_calibration_line(each) for each in calibrations]
         active = [index for index, each in enumerate(calibrations) if each.active]
         dialog = ChoiceDialog("Which calibration should be active?", lines, active[0] if active else 0)
-        self.app.push_screen(dialog, partial(self._activate, calibrations))
+        self.ask(dialog, partial(self._activate, calibrations))
 
-    def _activate(self, calibrations: Sequence[RegisteredCalibration], chosen: int | None) -> None:
-        if chosen is not None and not calibrations[chosen].active:
+    def _activate(self, calibrations: Sequence[RegisteredCalibration], chosen: int) -> None:
+        if not calibrations[chosen].active:
             self.instrument.activate(calibrations[chosen].bundle.calibration_id)
-
-    def _power_off(self, yes: bool | None) -> None:
-        if yes:
-            self.instrument.power_off()
 
 
 def _standard(kind: StandardKind, fields: dict[str, str]) -> CheckStandard:

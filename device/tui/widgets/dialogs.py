@@ -36,7 +36,7 @@ class Dialog(ModalScreen[Answer]):
             self.focused.press()
 
 
-class FieldsDialog(Dialog[dict[str, str] | None]):
+class FieldsDialog(Dialog[dict[str, str]]):
     """One field per line; returns the texts by name, or None if cancelled.
 
     Parameters
@@ -141,7 +141,7 @@ class KeysDialog(Dialog[None]):
 
 
 class ConfirmDialog(Dialog[bool]):
-    """A question answered yes or no; the default is no.
+    """A question answered yes or no; returns True, or None for no, which is the default.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class ConfirmDialog(Dialog[bool]):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "dismiss(True)", "yes"),
-        Binding("n,escape", "dismiss(False)", "no"),
+        Binding("n,escape", "dismiss(None)", "no"),
     ]
 
     def __init__(self, question: str, yes: str) -> None:
@@ -168,7 +168,7 @@ class ConfirmDialog(Dialog[bool]):
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Return the answer."""
-        self.dismiss(event.button.id == "yes")
+        self.dismiss(True if event.button.id == "yes" else None)
 
 
 class ChoiceDialog(Dialog[int]):
