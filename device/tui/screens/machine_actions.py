@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, Literal
 
 from device.errors import DeviceError, MachineError
-from device.machine.interfaces import ClockStatus, Machine, WifiNetwork
+from device.machine.interfaces import ClockStatus, WifiNetwork
 from device.machine.wifi import password_complaint
 from device.tui.drawing.text import clock_text, hanging
 from device.tui.screens.base import InstrumentScreen
@@ -36,12 +36,11 @@ class MachineActions:
     Parameters
     ----------
     screen : that shows the dialogs
-    machine : whose settings these are
     """
 
-    def __init__(self, screen: InstrumentScreen, machine: Machine) -> None:
+    def __init__(self, screen: InstrumentScreen) -> None:
         self._screen = screen
-        self._machine = machine
+        self._machine = screen.instrument.machine
         self._facts: dict[ActionName, str] = {}
 
     def refresh(self) -> None:
@@ -66,7 +65,7 @@ class MachineActions:
     def start(self, name: ActionName) -> None:
         """Change a setting, or ask for its new value."""
         if name == "brightness":
-            self._change(self._next_level)
+            self._screen.work(self._next_level, self._changed)
         elif name == "wifi":
             self._screen.retroscan.notice = Notice("Looking for networks ...")
             self._screen.work(self._machine.wifi.networks, self._ask_for_network)
@@ -78,9 +77,9 @@ class MachineActions:
         self._facts[name] = facts
         self._screen.show_body(self._screen.instrument.state)
 
-    def _change(self, change: Callable[[], str]) -> None:
+    def _change(self, change: Callable[[], object], sentence: str) -> None:
         """Change a setting on another thread, say what it is now, and read all again."""
-        self._screen.work(change, self._changed)
+        self._screen.work(change, lambda _: self._changed(sentence))
 
     def _changed(self, sentence: str) -> None:
         self._screen.retroscan.notice = Notice(sentence)
@@ -125,11 +124,8 @@ class MachineActions:
 
     def _join(self, network: WifiNetwork, password: str) -> None:
         self._screen.retroscan.notice = Notice(f"Joining {network.name} ...")
-        self._change(partial(self._join_now, network, password))
-
-    def _join_now(self, network: WifiNetwork, password: str) -> str:
-        self._machine.wifi.join(network, password)
-        return f"Joined {network.name}; it is joined again whenever it is in range."
+        joined = f"Joined {network.name}; it is joined again whenever it is in range."
+        self._change(partial(self._machine.wifi.join, network, password), joined)
 
     def _ask_about_clock(self, chosen: int) -> None:
         if chosen == 0:
@@ -140,11 +136,9 @@ class MachineActions:
             self._screen.work(self._machine.clock.zones, self._ask_for_region)
 
     def _set_time(self, fields: dict[str, str]) -> None:
-        self._change(partial(self._set_time_to, _time_of(fields)))
-
-    def _set_time_to(self, local: datetime) -> str:
-        self._machine.clock.set_time(local)
-        return f"The clock is set to {local:%Y-%m-%d %H:%M}. Scans keep their numbers and their order."
+        local = _time_of(fields)
+        sentence = f"The clock is set to {local:%Y-%m-%d %H:%M}. Scans keep their numbers and their order."
+        self._change(partial(self._machine.clock.set_time, local), sentence)
 
     def _ask_for_region(self, zones: Sequence[str]) -> None:
         regions = sorted({_region(zone) for zone in zones})
@@ -155,11 +149,8 @@ class MachineActions:
         self._screen.ask(ChoiceDialog("Time zone", within), partial(self._set_zone, within))
 
     def _set_zone(self, zones: Sequence[str], chosen: int) -> None:
-        self._change(partial(self._set_zone_to, zones[chosen]))
-
-    def _set_zone_to(self, name: str) -> str:
-        self._machine.clock.set_zone(name)
-        return f"The time zone is {name}."
+        name = zones[chosen]
+        self._change(partial(self._machine.clock.set_zone, name), f"The time zone is {name}.")
 
 
 def _sentence_of(facts: Callable[[], str]) -> str:

@@ -51,7 +51,7 @@ class SetUpScreen(InstrumentScreen):
         self._actions_list = ChoiceList([action.title for action in SETUP_ACTIONS], id="actions")
         self._panel = Words(id="panel", markup=False)
         self._network: NetworkInfo | None = None
-        self._machine = MachineActions(self, instrument.machine)
+        self._machine = MachineActions(self)
 
     def body(self) -> Iterable[Widget]:
         """Return the list and the panel."""
