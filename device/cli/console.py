@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -92,17 +93,10 @@ def _length_mm(_: Any, tokens: Sequence[Any]) -> float:
     return value
 
 
-def _port(_: Any, tokens: Sequence[Any]) -> int:
+def _whole(kind: str, most: int, _: Any, tokens: Sequence[Any]) -> int:
     text = tokens[0].value
-    if not (text.isdecimal() and 1 <= int(text) <= MAX_PORT):
-        raise ValueError(f"{text!r} is not a port: give a number from 1 to {MAX_PORT}")
-    return int(text)
-
-
-def _count(_: Any, tokens: Sequence[Any]) -> int:
-    text = tokens[0].value
-    if not (text.isdecimal() and 1 <= int(text) <= MAX_COUNT):
-        raise ValueError(f"{text!r} is not a count: give a number from 1 to {MAX_COUNT}")
+    if not (text.isdecimal() and 1 <= int(text) <= most):
+        raise ValueError(f"{text!r} is not a {kind}: give a number from 1 to {most}")
     return int(text)
 
 
@@ -112,8 +106,8 @@ Text = Annotated[str, Parameter(converter=_text)]
 LengthMm = Annotated[float, Parameter(converter=_length_mm)]
 """A length in mm."""
 
-Port = Annotated[int, Parameter(converter=_port)]
+Port = Annotated[int, Parameter(converter=partial(_whole, "port", MAX_PORT))]
 """A TCP port."""
 
-Count = Annotated[int, Parameter(converter=_count)]
+Count = Annotated[int, Parameter(converter=partial(_whole, "count", MAX_COUNT))]
 """1 or more."""

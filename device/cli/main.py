@@ -201,7 +201,7 @@ def chosen_board(given: str | None, board_file: Path = BOARD_FILE, defaults_file
     BoardProfileError
         None is named anywhere.
     """
-    named = given or os.environ.get(VARIABLE) or _first_line(board_file) or _default(defaults_file)
+    named = given or os.environ.get(VARIABLE) or _lines(board_file)[0].strip() or _default(defaults_file)
     if named:
         return named
     raise BoardProfileError(
@@ -210,20 +210,16 @@ def chosen_board(given: str | None, board_file: Path = BOARD_FILE, defaults_file
     )
 
 
-def _first_line(path: Path) -> str:
+def _lines(path: Path) -> list[str]:
+    """Return the lines of a file, one empty line where it cannot be read."""
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")
+        return path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError):
-        return ""
-    return lines[0].strip()
+        return [""]
 
 
 def _default(path: Path) -> str:
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError):
-        return ""
-    values = [line.split("=", 1)[1].strip() for line in lines if line.startswith(f"{VARIABLE}=")]
+    values = [line.split("=", 1)[1].strip() for line in _lines(path) if line.startswith(f"{VARIABLE}=")]
     return values[-1] if values else ""
 
 

@@ -14,11 +14,11 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event as Flag
-from typing import TYPE_CHECKING, Final, Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
 from device.acquisition.instrument_lock import SERVICE_FOLDER, exclusive_instrument
 from device.cli.console import Given, open_store, store_folder
-from device.cli.service import SdNotify, ServiceReport
+from device.cli.service import POWER_OFF_FILE, SdNotify, ServiceReport
 from device.errors import StoreError, TerminalMissing
 from device.instrument.instrument import Instrument
 from device.tui.drawing.cells import colour_depth
@@ -32,10 +32,6 @@ from hal.hardware import Hardware
 if TYPE_CHECKING:
     from device.instrument.demo_faults import DemoFaults
     from device.tui.screens.app import RetroscanApp
-
-
-POWER_OFF_FILE: Final = "poweroff"
-"""File in the service's folder that asks the system to switch the machine off; a systemd path unit watches for it."""
 
 
 class InstrumentThread:
@@ -189,20 +185,12 @@ class TerminalOutput:
 
     def write(self, text: str) -> int:
         """Write, or drop the text if the terminal is gone; returns its length."""
-        if not self._is_lost:
-            try:
-                self._stream.write(text)
-            except OSError:
-                self._lose()
+        self._unless_lost(lambda: self._stream.write(text))
         return len(text)
 
     def flush(self) -> None:
         """Flush, unless the terminal is gone."""
-        if not self._is_lost:
-            try:
-                self._stream.flush()
-            except OSError:
-                self._lose()
+        self._unless_lost(self._stream.flush)
 
     def isatty(self) -> bool:
         """Return whether the stream is a terminal."""
@@ -217,9 +205,14 @@ class TerminalOutput:
         """Of the stream."""
         return self._stream.encoding
 
-    def _lose(self) -> None:
-        self._is_lost = True
-        self._on_lost()
+    def _unless_lost(self, work: Callable[[], object]) -> None:
+        if self._is_lost:
+            return
+        try:
+            work()
+        except OSError:
+            self._is_lost = True
+            self._on_lost()
 
 
 @contextmanager

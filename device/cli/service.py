@@ -40,6 +40,7 @@ SEND_TIMEOUT_S: Final = 1.0
 """Send timeout; a message that the service manager does not take in time is dropped, so that work never waits."""
 
 POWER_OFF_FILE: Final = "poweroff"
+"""File in the service's folder that asks the system to switch the machine off; a systemd path unit watches for it."""
 
 
 class SdNotify:
