@@ -17,7 +17,7 @@ from typing import Final
 import platformdirs
 
 from device.errors import InstrumentBusy
-from device.store.device_id import read_device
+from device.store.device_id import DEVICE
 from hal.board_profile import BoardProfile
 from hal.factory import open_hardware
 from hal.hardware import Hardware
@@ -46,7 +46,7 @@ def open_exclusive(profile: BoardProfile, clock: Clock | None = None, store: Pat
 
 def _seed(profile: BoardProfile, store: Path | None) -> int | None:
     """Return the seed of a twin whose store holds scans already; None leaves the profile's."""
-    device = read_device(store) if store is not None and profile.twin is not None else None
+    device = DEVICE.read(store) if store is not None and profile.twin is not None else None
     return None if device is None or profile.twin is None else profile.twin.seed + device.counter
 
 

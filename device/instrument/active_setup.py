@@ -33,7 +33,7 @@ from device.quality.verdict import drift_complaints
 from device.store.checks import read_checks, read_standard, write_standard
 from device.store.choices import BALANCE, known_gel, make_gel, mount_gel, mounted_gel, with_active_gel
 from device.store.registry import CalibrationRegistry
-from device.store.registry_file import ACTIVE_FILE
+from device.store.registry_file import ACTIVE
 from device.store.store import BundleStore
 from hal.errors import HalError
 from hal.frame import RawFrame
@@ -296,7 +296,7 @@ def active_selection(store: BundleStore, hardware: Hardware) -> Selection:
     """Return the mounted gel and active calibration as they are on the disk now."""
     gel, active = gel_state(store.root, hardware), b""
     with suppress(OSError):
-        active = (store.root / ACTIVE_FILE).read_bytes()
+        active = ACTIVE.path(store.root).read_bytes()
     return gel.gel_id, gel.slab_thickness_mm, active
 
 

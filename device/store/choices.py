@@ -32,11 +32,13 @@ class RecordFile(Generic[Kept]):
     kind : type of the record
     place : its path below the store, where {} is the name
     remedy : what a person does about a damaged file
+    mode : permissions as for `replace_file`
     """
 
     kind: type[Kept]
     place: str
     remedy: str
+    mode: int | None = None
 
     def path(self, root: Path, name: str = "") -> Path:
         """Return the path of the file, there or not."""
@@ -76,7 +78,7 @@ class RecordFile(Generic[Kept]):
         path = self.path(root, name)
         try:
             path.parent.mkdir(exist_ok=True)
-            replace_file(path, encode_record(record))
+            replace_file(path, encode_record(record), self.mode)
         except OSError as error:
             raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error
 

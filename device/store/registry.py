@@ -21,6 +21,7 @@ from device.io.atomic import remove_tree_quietly
 from device.io.folder import Folder
 from device.io.system import explain_os_error
 from device.store.registry_file import (
+    REGISTRY,
     SHORT,
     CalibrationKey,
     RegistryEntry,
@@ -29,8 +30,6 @@ from device.store.registry_file import (
     content_address,
     key_of,
     present_key,
-    read_registry,
-    write_registry,
 )
 from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
@@ -59,7 +58,7 @@ class CalibrationRegistry:
         self._key = present_key(profile)
 
     def list(self) -> tuple[RegisteredCalibration, ...]:
-        """Return every readable calibration, by key and version. Errors as for `read_registry`."""
+        """Return every readable calibration, by key and version. Errors as for `RecordFile.read`."""
         bundles = {bundle.calibration_id: bundle for bundle in self._store.calibrations().bundles}
         keys = {key_of(bundle.record) for bundle in bundles.values()}
         found = []
@@ -98,7 +97,7 @@ class CalibrationRegistry:
         if content_address(bundle.record) != entry.content:
             raise RecordError(f"calibration {calibration_id}: differs from what was registered: import it again")
         self._store.activate(calibration_id)
-        write_registry(self._store.root, key, msgspec.structs.replace(slots, active=entry.version))
+        REGISTRY.write(self._store.root, msgspec.structs.replace(slots, active=entry.version), key.digest)
         return entry
 
     def switch(self) -> RegistryEntry:
@@ -180,7 +179,8 @@ class CalibrationRegistry:
 
     def _registered(self, key: CalibrationKey, slot_of: dict[str, Slot] | None = None) -> RegistryFile:
         """Return the registry file of a key, updated to the bundles of the store and the active one."""
-        stored = slots = read_registry(self._store.root, key)
+        empty = RegistryFile(board=key.board, gel_id=key.gel_id, lights=key.lights)
+        stored = slots = REGISTRY.read(self._store.root, key.digest) or empty
         bundles = [b for b in self._store.calibrations().bundles if key_of(b.record) == key]
         for bundle in sorted(bundles, key=lambda b: b.record.identity.counter):
             slot = (slot_of or {}).get(bundle.calibration_id, "user")
@@ -189,7 +189,7 @@ class CalibrationRegistry:
         if active:
             slots = msgspec.structs.replace(slots, active=active.version)
         if slots != stored:
-            write_registry(self._store.root, key, slots)
+            REGISTRY.write(self._store.root, slots, key.digest)
         return slots
 
     def _is_active(self, entry: RegistryEntry) -> bool:

@@ -11,34 +11,25 @@ import msgspec
 
 from device.bundles.calibration import CalibrationBundle, CalibrationRecord, read_calibration
 from device.bundles.fingerprint import Fingerprint
-from device.bundles.record import (
-    BundleId,
-    Count,
-    Record,
-    Sha256,
-    ShortText,
-    decode_record,
-    encode_record,
-    read_small,
-    sha256_bytes,
-)
-from device.errors import NoCalibration, StoreError
-from device.io.atomic import replace_file
-from device.io.system import FILE_MODE, explain_os_error
+from device.bundles.record import BundleId, Count, Record, Sha256, ShortText, encode_record, sha256_bytes
+from device.errors import NoCalibration
+from device.io.system import FILE_MODE
+from device.store.choices import RecordFile
 from hal.board_profile import BoardProfile
 
-ACTIVE_FILE: Final = "active.json"
-ACTIVE_SCHEMA: Final = "retrograph.active/1"
 _ACTIVATE_AGAIN: Final = (
-    "activate a calibration again with `retroscan calibrations use ID` (`retroscan calibrations` lists them), or run "
-    "`retroscan calibrate`"
+    "remove it, then activate a calibration again with `retroscan calibrations use ID` (`retroscan calibrations` lists "
+    "them), or run `retroscan calibrate`"
 )
 
 
-class ActiveCalibration(Record, frozen=True, tag_field="schema", tag=ACTIVE_SCHEMA):
+class ActiveCalibration(Record, frozen=True, tag_field="schema", tag="retrograph.active/1"):
     """The id of the active calibration."""
 
     calibration_id: BundleId
+
+
+ACTIVE: Final = RecordFile(ActiveCalibration, "active.json", _ACTIVATE_AGAIN, FILE_MODE)
 
 
 def read_active(root: Path) -> CalibrationBundle:
@@ -51,31 +42,14 @@ def read_active(root: Path) -> CalibrationBundle:
     RecordError
         The choice or the calibration is damaged.
     """
-    path = root / ACTIVE_FILE
-    if not path.exists():
+    active = ACTIVE.read(root)
+    if active is None:
         raise NoCalibration(f"no calibration is active in {root}: run `retroscan calibrate` first")
-    calibration_id = decode_record(
-        read_small(path, f"remove it, then {_ACTIVATE_AGAIN}"), ActiveCalibration, path, _ACTIVATE_AGAIN
-    ).calibration_id
-    directory = root / "calibrations" / calibration_id
+    directory = root / "calibrations" / active.calibration_id
     if not directory.is_dir():
-        raise NoCalibration(f"the active calibration {calibration_id} is gone: run `retroscan calibrate` again")
+        raise NoCalibration(f"the active calibration {active.calibration_id} is gone: run `retroscan calibrate` again")
     return read_calibration(directory)
 
-
-def write_active(root: Path, calibration_id: str) -> None:
-    """Make a calibration the active one, durably.
-
-    Raises
-    ------
-    OSError
-        The disk refused; the one before stays active.
-    """
-    replace_file(root / ACTIVE_FILE, encode_record(ActiveCalibration(calibration_id=calibration_id)), FILE_MODE)
-
-
-REGISTRY_FOLDER: Final = "calibration-slots"
-_REMEDY: Final = "remove it: it is rebuilt from the calibrations of the store"
 
 Slot = Literal["factory", "user"]
 
@@ -131,34 +105,9 @@ class RegistryFile(Record, frozen=True, tag_field="schema", tag="retrograph.cali
         return next((entry for entry in self.entries if entry.calibration_id == calibration_id), None)
 
 
-def read_registry(root: Path, key: CalibrationKey) -> RegistryFile:
-    """Return the calibrations registered for a key; empty when there are none.
-
-    Raises
-    ------
-    RecordError
-        The file is damaged.
-    """
-    path = root / REGISTRY_FOLDER / key.file_name
-    if not path.exists():
-        return RegistryFile(board=key.board, gel_id=key.gel_id, lights=key.lights)
-    return decode_record(read_small(path, _REMEDY), RegistryFile, path, _REMEDY)
-
-
-def write_registry(root: Path, key: CalibrationKey, slots: RegistryFile) -> None:
-    """Store the calibrations of a key durably.
-
-    Raises
-    ------
-    StoreError
-        The disk refused; the file is unchanged.
-    """
-    path = root / REGISTRY_FOLDER / key.file_name
-    try:
-        path.parent.mkdir(exist_ok=True)
-        replace_file(path, encode_record(slots))
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be stored {explain_os_error(error)}") from error
+REGISTRY: Final = RecordFile(
+    RegistryFile, "calibration-slots/{}.json", "remove it: it is rebuilt from the calibrations of the store"
+)
 
 
 SHORT: Final = 12
@@ -178,9 +127,9 @@ class CalibrationKey:
     lights: str
 
     @property
-    def file_name(self) -> str:
-        """Name of the key's file; a digest, so that no names of board and gel can make two keys collide."""
-        return f"{sha256_bytes(repr((self.board, self.gel_id, self.lights)).encode())[:24]}.json"
+    def digest(self) -> str:
+        """Name of the key in `REGISTRY`; a digest, so that no names of board and gel can make two keys collide."""
+        return sha256_bytes(repr((self.board, self.gel_id, self.lights)).encode())[:24]
 
 
 def key_of(record: CalibrationRecord) -> CalibrationKey:

@@ -48,15 +48,8 @@ from device.io.system import (
     require_writable,
 )
 from device.store.deletion import acknowledged_scans, deleted_folders, evict_acknowledged, purge_oldest
-from device.store.device_id import (
-    DeviceState,
-    count_calibration,
-    count_scan,
-    current_boot_id,
-    read_device,
-    start_device,
-)
-from device.store.registry_file import read_active, write_active
+from device.store.device_id import DEVICE, DeviceState, count_bundle, current_boot_id, start_device
+from device.store.registry_file import ACTIVE, ActiveCalibration, read_active
 from device.store.transfers import InboxItem, copy_calibration, import_inbox
 from hal.errors import HalError
 from hal.interfaces import Clock
@@ -98,7 +91,7 @@ class BundleStore:
                 make_folder(root / name, SHARED_MODE)
             with locked_directory(root):
                 clear_unpublished(root)
-                if read_device(root) is None:
+                if DEVICE.read(root) is None:
                     start_device(root)
 
     @property
@@ -116,7 +109,7 @@ class BundleStore:
         """
         with self._translating("written"), locked_directory(self.root):
             state = self._device()
-            count = (count_scan if kind == "scans" else count_calibration)(self.root, state)
+            count = count_bundle(self.root, kind, state)
         suffix = "-cal" if kind == "calibrations" else ""
         return Identity(
             id=f"{state.device_id}-{self._boot_id}-{count:06d}{suffix}",
@@ -191,8 +184,7 @@ class BundleStore:
             raise RecordError(f"{calibration_id!r} is no calibration id: give one of {self.root / 'calibrations'}")
         bundle = read_calibration(self.root / "calibrations" / calibration_id)
         bundle.verify()
-        with self._translating("written"):
-            write_active(self.root, calibration_id)
+        ACTIVE.write(self.root, ActiveCalibration(calibration_id=calibration_id))
         return bundle
 
     def active_calibration(self) -> CalibrationBundle:
@@ -288,7 +280,7 @@ class BundleStore:
             return max(free_bytes(self.root, self._statvfs) - RESERVE_BYTES, 0)
 
     def _device(self) -> DeviceState:
-        state = read_device(self.root)
+        state = DEVICE.read(self.root)
         if state is None:
             raise StoreError(f"{self.root}: device.json is missing: start the program again")
         return state
