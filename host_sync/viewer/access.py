@@ -20,13 +20,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs
 
 import msgspec
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
@@ -140,7 +140,8 @@ class AccessCheck:
 
     def _own_answer(self, scope: Scope) -> Response | None:
         """Return a refusal or the exchange of a link; None when the request may pass."""
-        headers = Headers(scope=scope)
+        request = HTTPConnection(scope)
+        headers = request.headers
         if not self._access.knows_host(headers.get("host", "")):
             return refused("The viewer does not answer at this address: use the link that it printed.", 421)
         opened = scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate"
@@ -150,7 +151,7 @@ class AccessCheck:
             code = parse_qs(scope["query_string"].decode("latin-1")).get("code", [""])[0]
             if secrets.compare_digest(code.encode(), self._access.code.encode()):
                 return self._session(headers)
-        if not self._access.holds_token(_cookie(headers.get("cookie", ""), self._access.cookie)):
+        if not self._access.holds_token(request.cookies.get(self._access.cookie)):
             return refused("Open the link that retrosync view printed.", 403)
         return None
 
@@ -227,14 +228,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _cookie(header: str, name: str) -> str | None:
-    try:
-        jar = SimpleCookie(header)
-    except CookieError:
-        return None
-    return jar[name].value if name in jar else None
 
 
 FILE: Final = "viewer.json"

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from datetime import date
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
@@ -351,13 +351,10 @@ def _number(text: str, read: Callable[[str], NumberT], name: str) -> NumberT:
 
 def _page_files() -> dict[str, tuple[bytes, str, str]]:
     """Return the page's own files by name, with media type and tag; no other file can be requested."""
-    folder = files("host_sync.viewer") / "page"
+    folder = Path(__file__).with_name("page")
     found = {}
-    for place in (folder, folder / "vendor"):
-        prefix = "vendor/" if place != folder else ""
-        for one in place.iterdir():
-            suffix = one.name[one.name.rfind(".") :]
-            if one.is_file() and suffix in MEDIA:
-                data = one.read_bytes()
-                found[prefix + one.name] = (data, MEDIA[suffix], f'"{hashlib.sha256(data).hexdigest()[:32]}"')
+    for one in folder.rglob("*"):
+        if media := MEDIA.get(one.suffix):
+            data = one.read_bytes()
+            found[one.relative_to(folder).as_posix()] = (data, media, f'"{hashlib.sha256(data).hexdigest()[:32]}"')
     return found
