@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
@@ -32,10 +32,10 @@ MAX_REFUSALS: Final = 3
 class IngestQueue:
     """A context manager; when it ends, every complete bundle is published or noted as failed."""
 
-    def __init__(self, source: Source, library: Library, log: PullLog, receipts: ReceiptWriter | None) -> None:
+    def __init__(self, source: Source, library: Library, report: PullReport, receipts: ReceiptWriter | None) -> None:
         self._source = source
         self._library = library
-        self._log = log
+        self._report = report
         self._receipts = receipts
         self._known = files_by_hash(library)
         self._background = ThreadPoolExecutor(MAX_UNDER_WAY, thread_name_prefix="verify")
@@ -63,7 +63,7 @@ class IngestQueue:
         LibraryError
             The library cannot be written.
         """
-        with self._log.recording_failure(offer.kind, offer.bundle_id), ExitStack() as stack:
+        with self._report.recording_failure(offer.kind, offer.bundle_id), ExitStack() as stack:
             partial = stack.enter_context(self._library.publishing(offer.kind, offer.bundle_id, offer.files))
             download(self._source, offer, partial, advance, self._known)
             while len(self._under_way) >= MAX_UNDER_WAY:
@@ -73,10 +73,10 @@ class IngestQueue:
     def _collect(self) -> None:
         """Wait for the bundle that has been under way the longest and note its outcome."""
         offer, finished = self._under_way.popleft()
-        with self._log.recording_failure(offer.kind, offer.bundle_id):
+        with self._report.recording_failure(offer.kind, offer.bundle_id):
             lost = finished.result()
-            self._log.copied.append(offer.bundle_id)
-            self._log.lost = self._log.lost or lost
+            self._report.copied.append(offer.bundle_id)
+            self._report.lost = self._report.lost or lost
 
     def _finish(self, publishing: ExitStack, offer: RemoteBundle, partial: Path) -> str | None:
         """Publish a bundle; returns why the source could not take its receipt, None when it did.
@@ -158,9 +158,6 @@ class ReceiptWriter:
         return None if self.written else next(iter(self.refusals.values()), None)
 
 
-# Log of a pull: noted as it happens, and reported at the end.
-
-
 @dataclass(frozen=True, slots=True)
 class PullFailure:
     """A bundle, or an entry of the source, that was passed over, and why."""
@@ -169,11 +166,13 @@ class PullFailure:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class PullReport:
-    """Outcome of a pull, by ids.
+    """Outcome of a pull, by ids, noted as it happens.
 
+    refused : called with kind, name and reason of each failure
     unread : of those already there, the ones that an earlier pull verified; not hashed again
+    needs : ids of calibrations by scan
     without_calibration : scans whose calibration neither the source nor the library holds
     copied_bytes : fetched from the source, without what an earlier pull had left
     unreceipted : why the source takes no receipts, None when it took some
@@ -181,15 +180,17 @@ class PullReport:
     lost : why the source went away before the end, None when it did not
     """
 
-    copied: tuple[str, ...]
-    already_there: tuple[str, ...]
-    unread: tuple[str, ...]
-    failed: tuple[PullFailure, ...]
-    without_calibration: tuple[str, ...]
-    copied_bytes: int
-    unreceipted: str | None
-    refused_receipts: tuple[PullFailure, ...]
-    lost: str | None
+    refused: Callable[[BundleKind, str, str], None]
+    copied: list[str] = field(default_factory=list)
+    already_there: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
+    failed: list[PullFailure] = field(default_factory=list)
+    needs: dict[str, str] = field(default_factory=dict)
+    without_calibration: list[str] = field(default_factory=list)
+    copied_bytes: int = 0
+    unreceipted: str | None = None
+    refused_receipts: list[PullFailure] = field(default_factory=list)
+    lost: str | None = None
 
     @property
     def complete(self) -> bool:
@@ -200,23 +201,6 @@ class PullReport:
     def here(self) -> int:
         """Return how many of the source's bundles are in the library now."""
         return len(self.copied) + len(self.already_there)
-
-
-@dataclass(slots=True)
-class PullLog:
-    """Outcome of a pull so far.
-
-    refused : called with kind, name and reason of each failure, as it is noted
-    """
-
-    refused: Callable[[BundleKind, str, str], None] = lambda *_: None
-    copied: list[str] = field(default_factory=list)
-    already_there: list[str] = field(default_factory=list)
-    unread: list[str] = field(default_factory=list)
-    failed: list[PullFailure] = field(default_factory=list)
-    needs: dict[str, str] = field(default_factory=dict)
-    copied_bytes: int = 0
-    lost: str | None = None
 
     def fail(self, kind: BundleKind, name: str, reason: str) -> None:
         """Note why a bundle, or an entry of the source, was passed over."""
@@ -235,19 +219,13 @@ class PullLog:
                 raise
             self.fail(kind, bundle_id, str(error))
 
-    def report(self, library: Library, unreceipted: str | None, refusals: Mapping[str, str]) -> PullReport:
-        """Return the report; `unreceipted` is why the source takes no receipts, `refusals` why it refused some."""
-        here = {*self.copied, *self.already_there}
-        folder: Path = library.root / "calibrations"
-        orphans = (scan for scan, needed in self.needs.items() if scan in here and not (folder / needed).is_dir())
-        return PullReport(
-            copied=tuple(self.copied),
-            already_there=tuple(self.already_there),
-            unread=tuple(self.unread),
-            failed=tuple(self.failed),
-            without_calibration=tuple(orphans),
-            copied_bytes=self.copied_bytes,
-            unreceipted=unreceipted,
-            refused_receipts=() if unreceipted else tuple(PullFailure(*refusal) for refusal in refusals.items()),
-            lost=self.lost,
-        )
+    def finish(self, library: Library, receipts: ReceiptWriter | None) -> None:
+        """Note, at the end of a pull, which scans have no calibration and which receipts the source refused."""
+        here, folder = {*self.copied, *self.already_there}, library.root / "calibrations"
+        self.without_calibration = [
+            scan for scan, needed in self.needs.items() if scan in here and not (folder / needed).is_dir()
+        ]
+        if receipts is not None:
+            self.unreceipted = receipts.fault
+            refusals = {} if receipts.fault else receipts.refusals
+            self.refused_receipts = [PullFailure(*refusal) for refusal in refusals.items()]

@@ -87,7 +87,7 @@ def mirror_to_folder(
     )
     if report.lost is not None:
         raise SourceError(report.lost)
-    return MirrorReport(report.copied, report.already_there, report.failed)
+    return MirrorReport(tuple(report.copied), tuple(report.already_there), tuple(report.failed))
 
 
 def mirror_to_sftp(

@@ -29,7 +29,7 @@ from device.errors import DeviceError, RecordError
 from host_sync.errors import HostError, LibraryError, SourceError, SourceLost
 from host_sync.library.library import Library
 from host_sync.offload.bundle_transfer import RemoteBundle, read_remote_bundle
-from host_sync.offload.ingest import IngestQueue, PullLog, PullReport, ReceiptWriter, read_back
+from host_sync.offload.ingest import IngestQueue, PullReport, ReceiptWriter, read_back
 from host_sync.offload.paired_devices import PairedDevice, PairedDevices, SyncState, this_host
 from host_sync.offload.source import Source
 
@@ -88,19 +88,20 @@ def pull_into(
     trust_record: bool = False,
 ) -> PullReport:
     """Return the same for a library that the caller holds for writing; several sources may fill it side by side."""
-    log = PullLog(refused=lambda kind, name, reason: library.refuse(kind, name, reason, source.name))
+    report = PullReport(refused=lambda kind, name, reason: library.refuse(kind, name, reason, source.name))
     try:
-        receipted = _receipted(source, log, receipts)
-        survey = _Survey(source, library, log, receipted, receipts, verify=verify, trust_record=trust_record)
-        offers = _fitting(survey.wanted(), library, log)
+        receipted = _receipted(source, report, receipts)
+        survey = _Survey(source, library, report, receipted, receipts, verify=verify, trust_record=trust_record)
+        offers = _fitting(survey.wanted(), library, report)
         if offers:
-            _copy(offers, IngestQueue(source, library, log, receipts), log, progress)
+            _copy(offers, IngestQueue(source, library, report, receipts), report, progress)
     except SourceLost as error:
-        log.lost = str(error)
-    return log.report(library, receipts.fault if receipts else None, receipts.refusals if receipts else {})
+        report.lost = str(error)
+    report.finish(library, receipts)
+    return report
 
 
-def _receipted(source: Source, log: PullLog, receipts: ReceiptWriter | None) -> set[str | None]:
+def _receipted(source: Source, report: PullReport, receipts: ReceiptWriter | None) -> set[str | None]:
     """Return ids that the source has a file of receipt for: a hint only, the library's own record decides."""
     if receipts is None:
         return set()
@@ -109,7 +110,7 @@ def _receipted(source: Source, log: PullLog, receipts: ReceiptWriter | None) -> 
     except SourceLost:
         raise
     except SourceError as error:
-        log.fail("scans", RECEIPTS, str(error))
+        report.fail("scans", RECEIPTS, str(error))
         return set()
 
 
@@ -124,28 +125,28 @@ class _Survey:
 
     source: Source
     library: Library
-    log: PullLog
+    report: PullReport
     receipted: Collection[str | None]
     receipts: ReceiptWriter | None
     verify: bool
     trust_record: bool
 
     def wanted(self) -> list[RemoteBundle]:
-        """Return the offers that the library lacks; everything else goes to the log."""
+        """Return the offers that the library lacks; everything else goes to the report."""
         wanted = []
         for kind in _ORDER:
             for bundle_id in self._ids(kind):
-                with self.log.recording_failure(kind, bundle_id):
+                with self.report.recording_failure(kind, bundle_id):
                     if offer := self._wanted(kind, bundle_id):
                         wanted.append(offer)
         return wanted
 
     def _ids(self, kind: BundleKind) -> tuple[str, ...]:
-        with self.log.recording_failure(kind, kind):
+        with self.report.recording_failure(kind, kind):
             found = self.source.bundle_names(kind)
             for name in found.passed_over:
                 problem = "is no bundle and was skipped" if is_utf_8(name) else "its name is not UTF-8"
-                self.log.fail(kind, name, f"{self.source.name}/{kind}/{name}: {problem}: check the card")
+                self.report.fail(kind, name, f"{self.source.name}/{kind}/{name}: {problem}: check the card")
             return found.ids
         return ()
 
@@ -153,12 +154,12 @@ class _Survey:
         """Return the offer, or None when the library holds it; that is noted."""
         known = self.trust_record or bundle_id in self.receipted
         if known and not self.verify and self.library.looks_whole(kind, bundle_id):
-            self.log.already_there.append(bundle_id)
-            self.log.unread.append(bundle_id)
+            self.report.already_there.append(bundle_id)
+            self.report.unread.append(bundle_id)
             return None
         offer = read_remote_bundle(self.source, kind, bundle_id)
         if offer.calibration_id is not None:
-            self.log.needs[bundle_id] = offer.calibration_id
+            self.report.needs[bundle_id] = offer.calibration_id
         if not _holds(self.library, offer):
             return offer
         try:
@@ -169,7 +170,7 @@ class _Survey:
             self.library.record("adopted", kind, bundle_id, offer.manifest, self.source.name)
         if self.receipts:
             self.receipts.write_for(self.source, offer)
-        self.log.already_there.append(bundle_id)
+        self.report.already_there.append(bundle_id)
         return None
 
     def _withdraw_receipt(self, bundle_id: str) -> str:
@@ -202,8 +203,8 @@ def _holds(library: Library, offer: RemoteBundle) -> bool:
     return True
 
 
-def _fitting(offers: Sequence[RemoteBundle], library: Library, log: PullLog) -> list[RemoteBundle]:
-    """Return the offers for which there is room, one after the other; the others go to the log.
+def _fitting(offers: Sequence[RemoteBundle], library: Library, report: PullReport) -> list[RemoteBundle]:
+    """Return the offers for which there is room, one after the other; the others go to the report.
 
     Raises
     ------
@@ -219,7 +220,7 @@ def _fitting(offers: Sequence[RemoteBundle], library: Library, log: PullLog) -> 
             left_bytes -= needed_bytes
         else:
             reason = f"needs {needed_bytes / 1e6:.0f} MB of the library's disk, and {left_bytes / 1e6:.0f} MB are left"
-            log.fail(offer.kind, offer.bundle_id, f"{reason}: free space or name another library")
+            report.fail(offer.kind, offer.bundle_id, f"{reason}: free space or name another library")
     if not fitting and any(offer.size_bytes <= MAX_BUNDLE_BYTES for offer in offers):
         needed_bytes = sum(offer.size_bytes for offer in offers)
         raise LibraryError(
@@ -230,14 +231,14 @@ def _fitting(offers: Sequence[RemoteBundle], library: Library, log: PullLog) -> 
 
 
 def _copy(
-    offers: Sequence[RemoteBundle], queue: IngestQueue, log: PullLog, progress: Callable[[PullProgress], None]
+    offers: Sequence[RemoteBundle], queue: IngestQueue, report: PullReport, progress: Callable[[PullProgress], None]
 ) -> None:
     """Put every offer into the library, reporting progress."""
     total_bytes = sum(offer.size_bytes for offer in offers)
     before_bytes = 0
     with queue:
         for offer in offers:
-            meter = _Meter(offer.bundle_id, before_bytes, total_bytes, log, progress)
+            meter = _Meter(offer.bundle_id, before_bytes, total_bytes, report, progress)
             queue.add(offer, meter.advance)
             before_bytes += offer.size_bytes
 
@@ -249,12 +250,12 @@ class _Meter:
     bundle_id: str
     done_bytes: int
     total_bytes: int
-    log: PullLog
+    report: PullReport
     progress: Callable[[PullProgress], None]
 
     def advance(self, size_bytes: int, *, fetched: bool) -> None:
         self.done_bytes += size_bytes
-        self.log.copied_bytes += size_bytes if fetched else 0
+        self.report.copied_bytes += size_bytes if fetched else 0
         self.progress(PullProgress(self.bundle_id, self.done_bytes, self.total_bytes))
 
 

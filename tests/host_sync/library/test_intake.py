@@ -274,4 +274,4 @@ def test_a_forged_receipt_frees_nothing_and_hides_nothing(
     receipts = store.root / "receipts"
     (receipts / f"{scan.scan_id}.json").write_bytes(b"{}")
     assert store.make_room(1 << 60) == []
-    assert pull(card, library).copied == (scan.scan_id,)
+    assert pull(card, library).copied == [scan.scan_id]

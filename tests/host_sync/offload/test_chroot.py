@@ -52,7 +52,7 @@ def test_the_store_is_all_there_is(server: Any, store: BundleStore, publish_scan
     with server.link() as link:
         source = SftpSource(link)
         report = pull(source, library, receipts=ReceiptWriter("bench", lambda: datetime(2026, 11, 21, tzinfo=UTC)))
-        assert report.copied == (scan.scan_id,)
+        assert report.copied == [scan.scan_id]
         assert [failure.bundle_id for failure in report.failed] == ["way-out"]
         assert source.names("/etc") == []
         assert source.names("../../../../etc") == []

@@ -55,8 +55,8 @@ def test_everything_arrives_bit_by_bit(
     seen: list[PullProgress] = []
     report = pull(DirectorySource(store.root), library, seen.append)
     assert report.complete
-    assert report.copied == (calibration.calibration_id, *(scan.scan_id for scan in scans))
-    assert report.without_calibration == ()
+    assert report.copied == [calibration.calibration_id, *(scan.scan_id for scan in scans)]
+    assert report.without_calibration == []
     assert report.copied_bytes == seen[-1].done_bytes == seen[-1].total_bytes
     for bundle in library.scans().bundles:
         assert contents(bundle.directory) == contents(store.root / "scans" / bundle.scan_id)
@@ -78,7 +78,7 @@ def test_a_second_pull_copies_nothing(
 
     monkeypatch.setattr(DirectorySource, "blocks", noting)
     report = pull(source, library)
-    assert (report.copied, report.copied_bytes, len(report.already_there)) == ((), 0, 4)
+    assert (report.copied, report.copied_bytes, len(report.already_there)) == ([], 0, 4)
     assert {name.removesuffix(".sha256") for name in opened} == {"scan.json", "calibration.json"}
 
 
@@ -272,14 +272,14 @@ def test_what_the_library_has_is_not_fetched_again_and_not_linked(
     assert pull(DirectorySource(store.root), library).copied_bytes == 4
     second = publish()
     report = pull(DirectorySource(store.root), library)
-    assert (report.copied, report.copied_bytes) == ((second.scan_id,), 0)
+    assert (report.copied, report.copied_bytes) == ([second.scan_id], 0)
     held = library.find(first.scan_id).path("raw.tif")
     held.write_bytes(b"rot!")
     library.find(second.scan_id).verify()
     third = publish()
     report = pull(DirectorySource(store.root), library)
     assert [failure.bundle_id for failure in report.failed] == [first.scan_id]
-    assert report.copied == (third.scan_id,)
+    assert report.copied == [third.scan_id]
     library.find(third.scan_id).verify()
 
 
@@ -288,7 +288,7 @@ def test_a_scan_without_its_calibration_is_reported(
 ) -> None:
     shutil.rmtree(calibration.directory)
     report = pull(DirectorySource(store.root), library)
-    assert report.without_calibration == tuple(scan.scan_id for scan in scans)
+    assert report.without_calibration == [scan.scan_id for scan in scans]
 
 
 def test_leftovers_are_cleared_and_two_pulls_do_not_mix(

@@ -72,14 +72,14 @@ def test_network_and_card_give_the_same(
     calibration = publish_calibration(store)
     scan = publish_scan(store, calibration.calibration_id)
     report = pull_over(server, library)
-    assert report.copied == (calibration.calibration_id, scan.scan_id)
+    assert report.copied == [calibration.calibration_id, scan.scan_id]
     assert report.unreceipted is None
     assert_identical(store, library)
     card = Library(tmp_path / "from-card")
     assert pull(DirectorySource(store.root), card).copied == report.copied
     assert contents(card.root, "scans") == contents(library.root, "scans")
     again = pull_over(server, library)
-    assert (again.copied, again.copied_bytes, len(again.already_there)) == ((), 0, 2)
+    assert (again.copied, again.copied_bytes, len(again.already_there)) == ([], 0, 2)
 
 
 def test_a_receipt_follows_what_was_read_back_and_lets_the_device_free_it(
@@ -382,7 +382,7 @@ def test_a_name_that_is_not_utf_8_and_receipts_that_are_a_file_stop_nothing(
     (server.root / "scans" / "pipe-1").mkdir()
     os.mkfifo(server.root / "scans" / "pipe-1" / "scan.json")
     report = pull_over(server, library)
-    assert report.copied == (scan.scan_id,)
+    assert report.copied == [scan.scan_id]
     assert sorted(failure.bundle_id for failure in report.failed) == sorted(["caf\udce9", "pipe-1", "receipts"])
 
 
