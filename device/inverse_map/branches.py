@@ -205,10 +205,4 @@ def light_at_rest(curve: FeatureRegressor, field: IlluminationMap) -> Float32Arr
     rows, columns = field.nodes.shape[:2]
     across, down = (np.linspace(-1.0, 1.0, count) for count in (columns, rows))
     place = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1).reshape(-1, 2)
-    u = np.concatenate([curve.at(field.at(part), part) for part in _parts(place)])
-    return np.asarray(u.reshape(rows, columns, 2), np.float32)
-
-
-def _parts(place: NDArray[Any], size: int = 8192) -> list[NDArray[Any]]:
-    """Return places in pieces whose features fit in memory."""
-    return [place[first : first + size] for first in range(0, len(place), size)]
+    return np.asarray(curve.at(field.at(place), place).reshape(rows, columns, 2), np.float32)

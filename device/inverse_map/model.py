@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -17,7 +17,7 @@ from device.errors import CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.branches import IntensityCurve, NearLightBranch, Part, RawLightBranch, RootCurve
 from device.inverse_map.near_light import between_nodes, is_node_grid, rows_between_nodes
-from device.inverse_map.regressor import FeatureRegressor, field_position, with_prefix
+from device.inverse_map.regressor import FeatureRegressor, blocks_of, field_position, with_prefix
 from device.inverse_map.training_domain import Leverage, TrainingDomain
 from device.surface import Float32Array, Float64Array, GradientField, slope_from_stereographic
 
@@ -133,7 +133,7 @@ class InverseMap:
         p, q, excess, spread = (np.empty(image.shape, np.float32) for _ in range(4))
         # Binned pixels are so much quieter that noise adds nothing to what they read.
         read_by = self if binning == 1 else self.quiet
-        for rows in _blocks(image.shape[0]):
+        for rows in blocks_of(image.shape[0], _BLOCK_ROWS):
             p[rows], q[rows], excess[rows], spread[rows] = read_by._block(image.values[rows], rows, binning)
         valid = image.valid & (excess < LOST_EXCESS)
         confidence = np.where(image.clipped, CLIPPED_CONFIDENCE, 1.0) / (1.0 + (excess / TRUSTED_EXCESS) ** 2) ** 2
@@ -170,7 +170,7 @@ class InverseMap:
         across = ((2.0 * column + 1.0) / self.shape[1] - 1.0).astype(np.float32)
         down = ((2.0 * row + 1.0) / self.shape[0] - 1.0).astype(np.float32)
         slopes = np.empty((*values.shape[:2], 2), np.float32)
-        for rows in _blocks(len(row)):
+        for rows in blocks_of(len(row), _BLOCK_ROWS):
             slopes[rows], _, _ = quiet._rows(values[rows], across, down[rows])
         return slopes
 
@@ -282,11 +282,6 @@ def rest_nodes(inverse_map: InverseMap) -> Float32Array:
     place = np.stack(np.broadcast_arrays(places[None, :], places[:, None]), axis=-1).reshape(-1, 2)
     read = inverse_map.stereographic_at(np.ones((len(place), 3), np.float32), place)
     return np.asarray(read.reshape(REST_NODES, REST_NODES, 2), np.float32)
-
-
-def _blocks(rows: int) -> Iterator[slice]:
-    for start in range(0, rows, _BLOCK_ROWS):
-        yield slice(start, min(start + _BLOCK_ROWS, rows))
 
 
 MODEL_FILE: Final = "inverse-map.npz"

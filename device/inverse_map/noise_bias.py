@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from device.imaging.flat_field import REFERENCE_BLUR_PX, NormalizedImage
 from device.inverse_map.model import InverseMap, rest_likeness
-from device.inverse_map.regressor import field_position
+from device.inverse_map.regressor import blocks_of, field_position
 from device.surface import Float32Array, Float64Array
 
 PIXELS: Final = 120_000
@@ -49,7 +49,7 @@ def correct_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage
         return replace(inverse_map, noise_bias=measure_noise_bias(inverse_map, frames))
     free = replace(inverse_map, rest_bump=None)
     noise, place, cell, cells = _noise_at_places(free, frames)
-    read = np.concatenate([_even_part(free, noise[at], place[at]) for at in _batches(PIXELS)])
+    read = np.concatenate([_even_part(free, noise[at], place[at]) for at in blocks_of(PIXELS, _BATCH)])
     alike = 0.5 * (rest_likeness(np.float32(1.0) + noise) + rest_likeness(np.float32(1.0) - noise))
     taken = _at_nodes(np.stack([alike, alike], axis=-1).astype(np.float64), cell, cells)
     bump = _at_nodes(read, cell, cells) / np.maximum(taken, np.float32(MIN_TAKEN))
@@ -62,7 +62,7 @@ def measure_noise_bias(inverse_map: InverseMap, frames: Sequence[NormalizedImage
     frames : as for `correct_noise_bias`
     """
     noise, place, cell, cells = _noise_at_places(inverse_map, frames)
-    added = np.concatenate([_even_part(inverse_map, noise[at], place[at]) for at in _batches(PIXELS)])
+    added = np.concatenate([_even_part(inverse_map, noise[at], place[at]) for at in blocks_of(PIXELS, _BATCH)])
     return _at_nodes(added, cell, cells)
 
 
@@ -117,10 +117,6 @@ def _without_edges(noise: Float32Array, cell: NDArray[np.intp], count: int) -> F
 def _even_part(inverse_map: InverseMap, noise: Float32Array, place: Float64Array) -> Float64Array:
     more, less = (inverse_map.stereographic_at(np.float32(1.0) + sign * noise, place) for sign in (1, -1))
     return 0.5 * (more + less)
-
-
-def _batches(count: int) -> list[slice]:
-    return [slice(first, min(first + _BATCH, count)) for first in range(0, count, _BATCH)]
 
 
 def _at_nodes(values: Float64Array, cell: NDArray[np.intp], cells: tuple[int, int]) -> Float32Array:

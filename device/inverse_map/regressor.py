@@ -27,15 +27,7 @@ def position_exponents(degree: int) -> list[tuple[int, int]]:
 
 def monomials(variables: NDArray[Any], degree: int) -> NDArray[Any]:
     """Return monomials of shape (N, M) of variables of shape (N, D), D 2 or 3, ordered as the exponents."""
-    exponents = colour_exponents(degree) if variables.shape[1] == 3 else position_exponents(degree)
-    columns: dict[tuple[int, ...], NDArray[Any]] = {(0,) * variables.shape[1]: np.ones_like(variables[:, 0])}
-    for exponent in exponents:
-        if exponent in columns:
-            continue
-        axis = next(i for i, power in enumerate(exponent) if power)
-        lower = tuple(power - (i == axis) for i, power in enumerate(exponent))
-        columns[exponent] = columns[lower] * variables[:, axis]
-    return np.stack([columns[exponent] for exponent in exponents], axis=-1)
+    return np.ascontiguousarray(monomial_rows(variables.T, degree).T)
 
 
 def monomial_rows(variables: NDArray[Any], degree: int) -> NDArray[Any]:
@@ -276,8 +268,11 @@ class FeatureRegressor:
         return u
 
     def design(self, values: Float32Array, place: Float64Array) -> Float64Array:
-        """Its features (N, M K) for colours (N, 3) at position variables (N, 2); see `design_matrix`."""
-        return design_matrix(self.colours, self.colour_degree, self.position_degree, values, place, self.waves)
+        """Every term of colours (N, 3) times every monomial of position variables (N, 2): array of shape (N, M K)."""
+        variables, _ = self.colours.variables(values)
+        by_colour = colour_terms(variables.astype(np.float64), self.colour_degree, self.waves)
+        by_place = monomials(place, self.position_degree)
+        return np.asarray((by_colour[:, :, None] * by_place[:, None, :]).reshape(len(place), -1))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `from_arrays` is its inverse."""
@@ -310,25 +305,6 @@ class FeatureRegressor:
         if coefficients.shape != expected:
             raise RecordError(f"{source}: coefficients of shape {coefficients.shape}, not {expected}: calibrate again")
         return cls(colours, colour_degree, position_degree, coefficients, waves)
-
-
-def design_matrix(
-    colours: FeatureScaler,
-    colour_degree: int,
-    position_degree: int,
-    values: Float32Array,
-    place: Float64Array,
-    waves: RandomFourierFeatures,
-) -> Float64Array:
-    """Return every term of colour times every position monomial: float64 array of shape (N, M K).
-
-    values : float32 array of shape (N, 3), colours
-    place : float64 array of shape (N, 2), position variables
-    """
-    variables, _ = colours.variables(values)
-    by_colour = colour_terms(variables.astype(np.float64), colour_degree, waves)
-    by_place = monomials(place, position_degree)
-    return np.asarray((by_colour[:, :, None] * by_place[:, None, :]).reshape(len(place), -1))
 
 
 def colour_terms(variables: NDArray[Any], degree: int, waves: RandomFourierFeatures) -> NDArray[Any]:

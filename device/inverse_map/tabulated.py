@@ -26,6 +26,7 @@ from device.inverse_map.model import CLIPPED_CONFIDENCE, LOST_EXCESS, TRUSTED_EX
 from device.inverse_map.regressor import (
     DARK_OFFSET,
     FeatureScaler,
+    blocks_of,
     field_position,
     monomials,
     position_exponents,
@@ -100,8 +101,7 @@ class TabulatedInverseMap:
         p, q = (np.empty(image.shape, np.float32) for _ in range(2))
         outside = np.empty(image.shape, np.bool_)
         largest = np.float32(stereographic_size(self.steepest) ** 2)
-        for first in range(0, len(p), BAND_ROWS):
-            band = slice(first, first + BAND_ROWS)
+        for band in blocks_of(len(p), BAND_ROWS):
             index, outside[band] = self._bins(image.values[band])
             u = self._sum(index, self.down[:, band])
             square = u * u

@@ -18,7 +18,7 @@ import numpy as np
 
 from device.imaging.flat_field import NormalizedImage
 from device.inverse_map.model import InverseMap
-from device.inverse_map.regressor import field_position
+from device.inverse_map.regressor import blocks_of, field_position
 from device.surface import Float32Array, GradientField, MaskArray
 from host_sync.kernels.cell_rows import bordered, expanded_at
 from host_sync.kernels.jit import njit
@@ -153,8 +153,7 @@ def out_of_domain_blocks(intensity: NormalizedImage, inverse: InverseMap) -> Mas
     place = field_position(column, row, inverse.shape)
     colours = np.ascontiguousarray(values).reshape(-1, 3)
     flat = found.ravel()
-    for start in range(0, len(colours), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for part in blocks_of(len(colours), _CHUNK):
         flat[part] = inverse.leverage.relative(inverse.curve, colours[part], place[part]) > MAX_LEVERAGE
     blocks[:seen_rows, :seen_columns] = flat.reshape(found.shape)
     return blocks
