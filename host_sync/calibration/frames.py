@@ -76,17 +76,7 @@ class CalibrationFrames:
 @kept_memory()
 def calibrate_frames(frames: CalibrationFrames, report_progress: Callable[[str], None] = lambda _: None) -> Calibration:
     """Return the calibration that the frames carry; errors as for `calibrate`."""
-    calibration = calibrate_lights(
-        frames.presses,
-        frames.reference,
-        frames.pixel_pitch_um,
-        others=frames.others,
-        light_names=frames.light_names,
-        paper=frames.paper,
-        lights_mm=frames.lights_mm,
-        pupil_height_mm=frames.pupil_height_mm,
-        report_progress=report_progress,
-    )
+    calibration = calibrate_lights(frames, report_progress)
     assessment = calibration.assessment
     added = frames.left_out if frames.marks is None else (*frames.left_out, frames.marks.note)
     if added:
@@ -113,26 +103,11 @@ def calibrate_frames(frames: CalibrationFrames, report_progress: Callable[[str],
 # The calibration of frames of any number of lights: one of three channels for each group of lights.
 
 
-def calibrate_lights(
-    presses: Sequence[PressFrame],
-    reference: LinearFrame | None,
-    pitch_um: float,
-    *,
-    others: Sequence[LinearFrame] = (),
-    light_names: Sequence[str] = (),
-    report_progress: Callable[[str], None] = lambda _: None,
-    paper: bool = False,
-    lights_mm: Sequence[Position] = (),
-    pupil_height_mm: float | None = None,
-) -> Calibration:
-    """Return the calibration of frames of three to eight lights.
-
-    Arguments and errors are those of `calibrate`, which takes three lights.
-
-    light_names : of the lights, for messages; numbers where there are none
-    """
-    frames = [press.frame for press in presses]
-    shown = {frame.rgb.shape[2] for frame in [*frames, *others, *([reference] if reference else [])]}
+def calibrate_lights(frames: CalibrationFrames, report_progress: Callable[[str], None] = lambda _: None) -> Calibration:
+    """Return the calibration of frames of three to eight lights; errors as for `calibrate`, which takes three."""
+    pressed = [press.frame for press in frames.presses]
+    references = [frames.reference] if frames.reference else []
+    shown = {frame.rgb.shape[2] for frame in (*pressed, *frames.others, *references)}
     if len(shown) > 1:
         raise CalibrationError("frames show different numbers of lights: name the same lights in every frame")
     (count,) = shown or {CHANNELS}
@@ -140,37 +115,35 @@ def calibrate_lights(
         raise CalibrationError(f"frames show too few lights ({count}) for two slopes: give frames of three or more")
     if count == CHANNELS:
         return calibrate(
-            presses,
-            reference,
-            pitch_um,
-            others=others,
+            frames.presses,
+            frames.reference,
+            frames.pixel_pitch_um,
+            others=frames.others,
             report_progress=report_progress,
-            paper=paper,
-            lights_mm=lights_mm,
-            pupil_height_mm=pupil_height_mm,
+            paper=frames.paper,
+            lights_mm=frames.lights_mm,
+            pupil_height_mm=frames.pupil_height_mm,
         )
-    groups = choose_groups(frames)
+    groups = choose_groups(pressed)
     found = []
     for number, group in enumerate(groups, start=1):
-        found.append(
-            calibrate(
-                [replace(press, frame=in_group(press.frame, group)) for press in presses],
-                in_group(reference, group) if reference else None,
-                pitch_um,
-                others=[in_group(frame, group) for frame in others],
-                report_progress=_with_prefix(report_progress, f"lights {number} of {len(groups)}: "),
-                lights_mm=[lights_mm[light] for light in group] if lights_mm else (),
-                pupil_height_mm=pupil_height_mm,
-            )
+        part = replace(
+            frames,
+            presses=tuple(replace(press, frame=in_group(press.frame, group)) for press in frames.presses),
+            reference=in_group(frames.reference, group) if frames.reference else None,
+            others=tuple(in_group(frame, group) for frame in frames.others),
+            paper=False,
+            lights_mm=tuple(frames.lights_mm[light] for light in group) if frames.lights_mm else (),
         )
+        found.append(calibrate_lights(part, _with_prefix(report_progress, f"lights {number} of {len(groups)}: ")))
     first = found[0]
     flat_field = _flat_field(groups, found, count)
     balls: list[tuple[Ball, ...]] = [press.balls for press in first.presses]
-    lights = find_light_groups(groups, list(zip(frames, balls, strict=True)), flat_field, light_names)
+    lights = find_light_groups(groups, list(zip(pressed, balls, strict=True)), flat_field, frames.light_names)
     report_progress("measuring the slope error of all lights")
     images = [
         [flat_field_correct(in_group(frame, group), own.flat_field) for group, own in zip(groups, found, strict=True)]
-        for frame in frames
+        for frame in pressed
     ]
     maps = JoinedMaps(tuple(own.inverse.map for own in found))
     error = joined_slope_error(first.slope_error, images, balls, maps)

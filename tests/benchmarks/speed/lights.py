@@ -15,7 +15,7 @@ import numpy as np
 from device.imaging.flat_field import LinearFrame
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import calibrate
-from host_sync.calibration.frames import calibrate_lights
+from host_sync.calibration.frames import CalibrationFrames, calibrate_lights
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
 from tests.apparatus.light_ring import lit_by_ring
 from tests.apparatus.near_lamps import RADIUS_PX, SHAPE, balls, press_px
@@ -33,8 +33,8 @@ def measure(plan: Plan, report_progress: Callable[[str], None]) -> dict[str, Any
     report_progress("three lights and six")
     calibrations = {
         "three channels": calibrate(_presses(plan, 3), _rest(plan, 3), PITCH_UM),
-        "three lights": calibrate_lights(_presses(plan, 3), _rest(plan, 3), PITCH_UM),
-        "six lights": calibrate_lights(_presses(plan, 6), _rest(plan, 6), PITCH_UM),
+        "three lights": calibrate_lights(CalibrationFrames(_presses(plan, 3), _rest(plan, 3), PITCH_UM)),
+        "six lights": calibrate_lights(CalibrationFrames(_presses(plan, 6), _rest(plan, 6), PITCH_UM)),
     }
     frames = {name: _scan(plan, count) for name, count in PATHS.items()}
 
@@ -64,16 +64,16 @@ def _shape(plan: Plan) -> tuple[int, int]:
     return SHAPE[0] * plan.lights_enlarged, SHAPE[1] * plan.lights_enlarged
 
 
-def _presses(plan: Plan, lights: int) -> list[PressFrame]:
+def _presses(plan: Plan, lights: int) -> tuple[PressFrame, ...]:
     chosen = balls()[:: 12 // plan.presses]
-    return [
+    return tuple(
         PressFrame(
             f"press-{number:02d}",
             lit_by_ring(_relief(plan, press_px(ball, apex)), lights, number),
             RADIUS_PX * plan.lights_enlarged,
         )
         for number, (ball, apex) in enumerate(chosen)
-    ]
+    )
 
 
 def _rest(plan: Plan, lights: int) -> LinearFrame:

@@ -12,7 +12,7 @@ from device.errors import CalibrationError, CalibrationMismatch
 from device.surface import GradientField
 from host_sync.calibration.balls import PressFrame
 from host_sync.calibration.calibrate import Calibration, calibrate
-from host_sync.calibration.frames import calibrate_lights
+from host_sync.calibration.frames import CalibrationFrames, calibrate_lights
 from host_sync.light_groups import choose_groups, in_group, joined
 from host_sync.reconstruction.pipeline import reconstruct
 from host_sync.results.typed_members import as_members, from_members
@@ -35,7 +35,8 @@ def presses(lights: int, each: int = 1) -> list[PressFrame]:
 
 
 def calibrated(lights: int, each: int = 1) -> Calibration:
-    return calibrate_lights(presses(lights, each), lit_by_ring(np.zeros(SHAPE), lights, 99), PITCH_UM)
+    rest = lit_by_ring(np.zeros(SHAPE), lights, 99)
+    return calibrate_lights(CalibrationFrames(tuple(presses(lights, each)), rest, PITCH_UM))
 
 
 def slope_error(calibration: Calibration, lights: int) -> float:
@@ -75,7 +76,7 @@ def test_nine_lights_are_refused() -> None:
 
 def test_frames_of_different_numbers_of_lights_are_refused() -> None:
     with pytest.raises(CalibrationError, match="different numbers of lights"):
-        calibrate_lights(presses(4)[:2], lit_by_ring(np.zeros(SHAPE), 5, 0), PITCH_UM)
+        calibrate_lights(CalibrationFrames(tuple(presses(4)[:2]), lit_by_ring(np.zeros(SHAPE), 5, 0), PITCH_UM))
 
 
 @pytest.mark.slow
@@ -101,7 +102,8 @@ def test_the_error_of_six_lights_is_that_of_both_groups_together(six: Calibratio
 @pytest.mark.slow
 def test_three_lights_take_the_path_of_an_rgb_frame_bit_for_bit() -> None:
     rest = lit_by_ring(np.zeros(SHAPE), 3, 99)
-    by_lights, alone = calibrate_lights(presses(3), rest, PITCH_UM), calibrate(presses(3), rest, PITCH_UM)
+    by_lights = calibrate_lights(CalibrationFrames(tuple(presses(3)), rest, PITCH_UM))
+    alone = calibrate(presses(3), rest, PITCH_UM)
     assert by_lights.calibration_id == alone.calibration_id
     assert by_lights.lights is None
     frame = lit_by_ring(press_px(*balls()[0]), 3, 300)
