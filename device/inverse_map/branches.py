@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,29 +34,31 @@ Reading = IlluminationMap | NearLightModel | RootIntensity
 """Makes of intensity and place the colours that a curve is a function of."""
 
 
-class Part(Protocol):
-    """A curve of the map that reads slopes of intensity and place."""
-
-    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
-
-    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class IntensityCurve:
-    """A curve that reads intensity itself."""
+class Part:
+    """A curve of the map that reads slopes of intensity and place.
 
+    reading : makes its colours; None where it reads intensity itself
+    curve : what reads them
+    share : its weight, 0 to 1
+    at_rest : as of `RawLightBranch`, taken off its readings; None where nothing is
+    """
+
+    reading: Reading | None
     curve: FeatureRegressor
+    share: float
+    at_rest: Float32Array | None = None
 
     def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
         """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
-        return self.curve.at(intensity, place)
+        u = self.curve.at(intensity if self.reading is None else self.reading.seen(intensity, place), place)
+        return u if self.at_rest is None else u - between_nodes(self.at_rest, place)
 
     def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
         """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
-        return self.curve.rows(values, across, down)[0]
+        colours = values if self.reading is None else self.reading.seen_rows(values, across, down)
+        u, _ = self.curve.rows(colours, across, down)
+        return u if self.at_rest is None else u - rows_between_nodes(self.at_rest, across, down)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,16 +76,6 @@ class RawLightBranch:
     curve: FeatureRegressor
     share: float
     at_rest: Float32Array | None = None
-
-    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
-        u = self.curve.at(self.field.seen(intensity, place), place)
-        return u if self.at_rest is None else u - between_nodes(self.at_rest, place)
-
-    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
-        u, _ = self.curve.rows(self.field.seen_rows(values, across, down), across, down)
-        return u if self.at_rest is None else u - rows_between_nodes(self.at_rest, across, down)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `from_arrays` is its inverse."""
@@ -116,14 +108,6 @@ class RootCurve:
     curve: FeatureRegressor
     share: float
 
-    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
-        return self.curve.at(RootIntensity().seen(intensity, place), place)
-
-    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
-        return self.curve.rows(RootIntensity().seen_rows(values, across, down), across, down)[0]
-
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `from_arrays` is its inverse."""
         return self.curve.arrays() | {"share": np.array(self.share)}
@@ -149,14 +133,6 @@ class NearLightBranch:
 
     field: NearLightModel
     curve: FeatureRegressor
-
-    def u_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
-        """Return the stereographic slopes (N, 2) of intensities (N, 3) at position variables (N, 2)."""
-        return self.curve.at(self.field.seen(intensity, place), place)
-
-    def u_rows(self, values: Float32Array, across: Float32Array, down: Float32Array) -> Float32Array:
-        """Return the same of whole rows (h, w, 3) at position variables `across` (w,) and `down` (h,)."""
-        return self.curve.rows(self.field.seen_rows(values, across, down), across, down)[0]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `from_arrays` is its inverse."""

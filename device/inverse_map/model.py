@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from device.errors import CalibrationMismatch, RecordError
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.branches import IntensityCurve, NearLightBranch, Part, RawLightBranch, RootCurve
+from device.inverse_map.branches import NearLightBranch, Part, RawLightBranch, RootCurve, RootIntensity
 from device.inverse_map.near_light import between_nodes, is_node_grid, rows_between_nodes
 from device.inverse_map.regressor import FeatureRegressor, blocks_of, field_position, with_prefix
 from device.inverse_map.training_domain import Leverage, TrainingDomain
@@ -101,10 +101,14 @@ class InverseMap:
         return 1.0 - sum(part.share for part in (self.light, self.root) if part is not None)
 
     @property
-    def parts(self) -> list[tuple[Part, float]]:
-        """Every curve that slopes are the mean of, and its share."""
-        found: list[tuple[Part, float]] = [(self.near or IntensityCurve(self.curve), self.own_fraction)]
-        return found + [(part, part.share) for part in (self.light, self.root) if part is not None]
+    def parts(self) -> list[Part]:
+        """Every curve that slopes are the mean of."""
+        found = [Part(None if self.near is None else self.near.field, self.own, self.own_fraction)]
+        if self.light is not None:
+            found.append(Part(self.light.field, self.light.curve, self.light.share, self.light.at_rest))
+        if self.root is not None:
+            found.append(Part(RootIntensity(), self.root.curve, self.root.share))
+        return found
 
     def check_size(self, shape: tuple[int, int], binning: int = 1) -> None:
         """Refuse an image that is not of this field's size divided by `binning`.
@@ -183,10 +187,10 @@ class InverseMap:
         """
         mean = np.zeros((*values.shape[:2], 2), np.float32)
         square = np.zeros(values.shape[:2], np.float32)
-        for part, share in self.parts:
-            u = part.u_rows(values, across, down)
-            mean += np.float32(share) * u
-            square += np.float32(share) * (u * u).sum(axis=-1)
+        for part in self.parts:
+            u, share = part.u_rows(values, across, down), np.float32(part.share)
+            mean += share * u
+            square += share * (u * u).sum(axis=-1)
         spread = np.maximum(square - (mean * mean).sum(axis=-1), np.float32(0.0))
         if len(self.parts) == 1:
             spread[:] = 0.0
@@ -210,8 +214,8 @@ class InverseMap:
     def stereographic_at(self, intensity: Float32Array, place: Float64Array) -> Float64Array:
         """Return the stereographic slopes (N, 2) of intensities (N, 3) without noise at position variables (N, 2)."""
         u = np.zeros((len(place), 2))
-        for part, share in self.parts:
-            u += share * part.u_at(intensity, place)
+        for part in self.parts:
+            u += part.share * part.u_at(intensity, place)
         if self.rest_bump is not None:
             u -= rest_likeness(intensity)[..., None] * between_nodes(self.rest_bump, place)
         return u

@@ -8,7 +8,7 @@ import pytest
 from device.balls.sphere import Ball, gather_samples, sphere_slopes
 from device.calibration.fit import fit_inverse_map
 from device.imaging.flat_field import NormalizedImage
-from device.inverse_map.branches import RawLightBranch, light_at_rest
+from device.inverse_map.branches import Part, light_at_rest
 from device.inverse_map.model import InverseMap
 from device.inverse_map.near_light import IlluminationMap
 from device.inverse_map.noise_bias import measure_noise_bias
@@ -80,7 +80,7 @@ def test_a_curve_of_light_reads_nothing_where_its_light_is_that_of_untouched_ski
     space = FeatureScaler(*(np.full(3, v, np.float32) for v in (1.0, 0.3, 0.1, 2.0)), linear=True)
     coefficients = np.random.default_rng(0).normal(0.0, 0.1, (10, 6, 2)).astype(np.float32)
     curve = FeatureRegressor(space, 2, 2, coefficients)
-    light = RawLightBranch(field, curve, 0.5, light_at_rest(curve, field))
+    light = Part(field, curve, 0.5, light_at_rest(curve, field))
     place = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
     assert np.abs(curve.at(field.at(place), place)).max() > 0.1
     assert np.abs(light.u_at(np.ones((500, 3), np.float32), place)).max() < 2e-3
