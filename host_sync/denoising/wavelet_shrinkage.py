@@ -1,4 +1,4 @@
-"""Wavelet shrinkage of an intensity image, written plainly, and as a kernel that does the same in one pass.
+"""Wavelet shrinkage of an intensity image by a kernel that passes over memory once.
 
 The image's root has shot noise of the same variance everywhere. An à-trous transform of it (Starck, Murtagh & Fadili,
 "Sparse Image and Signal Processing", chapter 3; filter [1 2 1]/4, holes of 1, 2 and 4 pixels) leaves three planes of
@@ -36,9 +36,6 @@ from host_sync.kernels.parallel_rows import parallel_rows
 LEVELS: Final = 3
 REACH_PX: Final = 2
 """Pixels on either side of the one whose energy is averaged along a direction."""
-
-DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""(row, column) steps along which energy is averaged."""
 
 HALO_PX: Final = (1 << LEVELS) - 1 + REACH_PX
 """How far around a pixel its shrunk value depends on the image."""
@@ -95,41 +92,12 @@ def detail_planes(root: Float32Array, levels: int = LEVELS) -> tuple[list[Float3
     return details, smooth
 
 
-def noise_energy(detail: Float32Array, whitening: Float32Array) -> Float32Array:
-    """Return the energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
-    whitened = detail @ whitening.T
-    return np.asarray((whitened * whitened).sum(axis=-1) / np.float32(3.0), np.float32)
-
-
-def with_parent(energy: Float32Array, coarser: Float32Array) -> Float32Array:
-    """Return what speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
-    return np.asarray(np.maximum(energy, np.float32(PARENT_FRACTION) * coarser), np.float32)
-
-
-def directional_energy(energy: Float32Array) -> Float32Array:
-    """Return the largest mean of energy along five pixels in four directions, in the shape of `energy`."""
-    best = np.full(energy.shape, MIN_ENERGY, np.float32)
-    for down, across in DIRECTIONS:
-        total = energy.copy()
-        for step in range(1, REACH_PX + 1):
-            total += _moved(energy, step * down, step * across) + _moved(energy, -step * down, -step * across)
-        best = np.maximum(best, total * np.float32(1.0 / (2 * REACH_PX + 1)))
-    return best
-
-
 def _smoothed(image: Float32Array, hole: int) -> Float32Array:
     """Return the image averaged with its neighbours at `hole` pixels, ¼, ½, ¼ along both axes."""
     weights = np.zeros(2 * hole + 1, np.float32)
     weights[[0, hole, -1]] = 0.25, 0.5, 0.25
     smooth = cv2.sepFilter2D(image, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(smooth, np.float32).reshape(image.shape)
-
-
-def _moved(image: Any, down: int, across: int) -> Any:
-    """Return the image moved by whole pixels; beyond the border the outermost pixels repeat."""
-    rows = np.clip(np.arange(image.shape[0]) + down, 0, image.shape[0] - 1)
-    columns = np.clip(np.arange(image.shape[1]) + across, 0, image.shape[1] - 1)
-    return image[rows][:, columns]
 
 
 TILE_PX: Final = 480
@@ -153,9 +121,9 @@ _SHARES: Final = tuple(np.float32(share) for share in SHARES)
 _CONTRACT: Final = {"contract", "nsz"}
 
 
-def shrink(image: NormalizedImage, shrinkage: Shrinkage, out: NormalizedImage | None = None) -> NormalizedImage:
-    """Return the image with its noise shrunk, in the pixels of `out` when it is given; validity and clipping stay."""
-    values = empty_planes(image.shape) if out is None else out.values
+def shrink(image: NormalizedImage, shrinkage: Shrinkage) -> NormalizedImage:
+    """Return the image with its noise shrunk; validity and clipping stay."""
+    values = empty_planes(image.shape)
     parallel_rows(
         _shrink_rows, image.shape, *as_stored(image.values), np.moveaxis(values, -1, 0),
         np.ascontiguousarray(shrinkage.whitening, np.float32), np.ascontiguousarray(shrinkage.threshold, np.float32),

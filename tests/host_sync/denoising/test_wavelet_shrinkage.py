@@ -14,14 +14,14 @@ from host_sync.denoising.wavelet_shrinkage import (
     HALO_PX,
     LEAK,
     LEVELS,
+    MIN_ENERGY,
+    PARENT_FRACTION,
+    REACH_PX,
     SHARES,
     TILE_PX,
     Shrinkage,
     detail_planes,
-    directional_energy,
-    noise_energy,
     shrink,
-    with_parent,
 )
 from host_sync.kernels.cell_rows import in_planes
 
@@ -38,6 +38,39 @@ def mixed() -> Shrinkage:
     """A shrinkage whose colours are mixed and whose levels all differ."""
     whitening = np.triu(np.random.default_rng(0).normal(size=(3, 3, 3))).astype(np.float32) * 30.0
     return Shrinkage(whitening, np.float32([0.8, 1.8, 1.2]), np.float32([0.6, 0.1, 0.0]))
+
+
+DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""(row, column) steps along which energy is averaged."""
+
+
+def noise_energy(detail: np.ndarray, whitening: np.ndarray) -> np.ndarray:
+    """Return the energy of the three colours' detail in units of the noise: float32 array of shape (H, W)."""
+    whitened = detail @ whitening.T
+    return np.asarray((whitened * whitened).sum(axis=-1) / np.float32(3.0), np.float32)
+
+
+def with_parent(energy: np.ndarray, coarser: np.ndarray) -> np.ndarray:
+    """Return what speaks for a plane's detail: its energy or a share of the next coarser plane's, of the same shape."""
+    return np.asarray(np.maximum(energy, np.float32(PARENT_FRACTION) * coarser), np.float32)
+
+
+def directional_energy(energy: np.ndarray) -> np.ndarray:
+    """Return the largest mean of energy along five pixels in four directions, in the shape of `energy`."""
+    best = np.full(energy.shape, MIN_ENERGY, np.float32)
+    for down, across in DIRECTIONS:
+        total = energy.copy()
+        for step in range(1, REACH_PX + 1):
+            total += _moved(energy, step * down, step * across) + _moved(energy, -step * down, -step * across)
+        best = np.maximum(best, total * np.float32(1.0 / (2 * REACH_PX + 1)))
+    return best
+
+
+def _moved(image: np.ndarray, down: int, across: int) -> np.ndarray:
+    """Return the image moved by whole pixels; beyond the border the outermost pixels repeat."""
+    rows = np.clip(np.arange(image.shape[0]) + down, 0, image.shape[0] - 1)
+    columns = np.clip(np.arange(image.shape[1]) + across, 0, image.shape[1] - 1)
+    return image[rows][:, columns]
 
 
 def shrunk_values(values: np.ndarray, shrinkage: Shrinkage) -> np.ndarray:
