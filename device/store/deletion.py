@@ -64,30 +64,26 @@ def purge_deleted(root: Path) -> None:
         purge_oldest(root, lambda: False)
 
 
-def purge_oldest(
-    root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
-) -> None:
+def purge_oldest(root: Path, enough: Callable[[], bool]) -> None:
     """Remove deleted scans for good, one by one, until there is `enough` room; the caller holds the store's lock.
 
     A scan loses its name in one step, so that a power cut never leaves half of it to be brought back.
-
-    remove : removes the folder of a scan that no longer counts
     """
     for folder in deleted_folders(root):
         if enough():
             return
         with suppress(OSError):
-            _purge(root, folder, remove)
+            _purge(root, folder)
 
 
-def _purge(root: Path, folder: Path, remove: Callable[[Path], object]) -> None:
+def _purge(root: Path, folder: Path) -> None:
     if not is_bundle_id(folder.name):
-        remove(folder)
+        remove_tree_quietly(folder)
         return
     if (root / "scans" / folder.name).exists():
         return
     remove_tree_quietly(folder.with_name(partial_name(folder.name)))
-    _remove(root, folder, folder.name, remove)
+    _remove(root, folder)
 
 
 def _move(root: Path, scan_id: str, source: str, target: str, done: str) -> None:
@@ -111,12 +107,8 @@ def acknowledged_scans(root: Path) -> list[ScanBundle]:
     return [scan for scan in scans if _is_receipted(root, scan)]
 
 
-def evict_acknowledged(
-    root: Path, enough: Callable[[], bool], remove: Callable[[Path], object] = remove_tree_quietly
-) -> list[str]:
+def evict_acknowledged(root: Path, enough: Callable[[], bool]) -> list[str]:
     """Return ids of the scans that were removed, one by one, until there is `enough` room or no more may be removed.
-
-    remove : removes the folder of a scan that no longer counts
 
     Raises
     ------
@@ -127,22 +119,18 @@ def evict_acknowledged(
     for scan in acknowledged_scans(root):
         if enough():
             break
-        unpublish(root, scan, remove)
+        _remove(root, scan.directory)
         freed.append(scan.scan_id)
     return freed
 
 
-def unpublish(root: Path, scan: ScanBundle, remove: Callable[[Path], object] = remove_tree_quietly) -> None:
-    """Remove a scan; it disappears in one step, so that a power cut never leaves half of it."""
-    _remove(root, scan.directory, scan.scan_id, remove)
-
-
-def _remove(root: Path, folder: Path, scan_id: str, remove: Callable[[Path], object]) -> None:
-    """Remove the folder of a scan, then its receipt and its mark."""
+def _remove(root: Path, folder: Path) -> None:
+    """Remove the folder of a scan in one step, so that a power cut never leaves half; then its receipt and its mark."""
+    scan_id = folder.name
     vanished = folder.with_name(partial_name(scan_id))
     folder.rename(vanished)
     sync_directory(vanished.parent)
-    remove(vanished)
+    remove_tree_quietly(vanished)
     with suppress(OSError), Folder(root) as inside:
         inside.remove_file(f"{RECEIPTS}/{receipt_name(scan_id)}")
     with suppress(OSError):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -84,12 +83,8 @@ def find_stick(mounts: Path = MOUNTS, roots: tuple[str, ...] = MOUNT_ROOTS) -> P
     return found[0]
 
 
-def export_to_stick(
-    root: Path, device_id: str, stick: Path, now: datetime, report: Callable[[int, int], None] = lambda *_: None
-) -> StickExport:
+def export_to_stick(root: Path, device_id: str, stick: Path, now: datetime) -> StickExport:
     """Copy every scan and calibration that the stick does not hold yet, and verify all of them there.
-
-    report : receives how many scans are done, of how many
 
     Raises
     ------
@@ -107,7 +102,7 @@ def export_to_stick(
     failed: list[str] = []
     verified = copied = 0
     bundles: tuple[ScanBundle | CalibrationBundle, ...] = (*calibrations.bundles, *scans.bundles)
-    for number, bundle in enumerate(bundles, start=1):
+    for bundle in bundles:
         is_scan = isinstance(bundle, ScanBundle)
         try:
             is_new = _export(bundle, target, "scans" if is_scan else "calibrations")
@@ -118,7 +113,6 @@ def export_to_stick(
             continue
         verified += is_scan
         copied += is_scan and is_new
-        report(number, len(bundles))
     return StickExport(verified, copied, (*failed, *(damaged.reason for damaged in scans.damaged)))
 
 

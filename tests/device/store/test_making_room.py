@@ -93,11 +93,13 @@ def test_what_a_press_would_free_is_counted_and_stays(tmp_path: Path, publish_sc
 
 
 def test_a_power_cut_while_purging_leaves_no_half_scan_to_bring_back(
-    store: BundleStore, publish_scan: PublishScan
+    store: BundleStore, publish_scan: PublishScan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scan = publish_scan(store)
     delete_scan(store.root, scan.scan_id)
-    purge_oldest(store.root, lambda: False, remove=lambda _: None)
+    with monkeypatch.context() as patch:
+        patch.setattr("device.store.deletion.remove_tree_quietly", lambda _: None)
+        purge_oldest(store.root, lambda: False)
     with pytest.raises(RecordError, match="no longer there"):
         restore_scan(store.root, scan.scan_id)
     purge_deleted(store.root)
