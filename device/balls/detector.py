@@ -210,7 +210,7 @@ def _look(
     reduced_radius = radius_px / fine.columns_per_pixel
     circles: list[Float64Array] = []
     candidates = find_candidates(coarse, radius_px / coarse.columns_per_pixel, common_factor=common_factor)
-    for place in [(candidate.column, candidate.row) for candidate in candidates] + list(expected):
+    for place in (*candidates, *expected):
         circle = find_circle(fine, *fine.from_full(*place), reduced_radius)
         if not any(np.hypot(*(circle - other)) < reduced_radius for other in circles):
             circles.append(circle)

@@ -266,15 +266,6 @@ class ReducedIntensity:
         return (column + 0.5) / self.columns_per_pixel - 0.5, (row + 0.5) / self.rows_per_pixel - 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A place to look at: full-size position and score, how well two ramps explain the deviation."""
-
-    column: float
-    row: float
-    score: float
-
-
 def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
     """Return the image reduced by about `factor` (no enlargement), invalid pixels weighed zero."""
     rows, columns = image.shape
@@ -286,8 +277,8 @@ def reduce_intensity(image: NormalizedImage, factor: float) -> ReducedIntensity:
     return ReducedIntensity(deviation, np.asarray(weight, np.float32), columns / size[0], rows / size[1])
 
 
-def find_candidates(reduced: ReducedIntensity, radius_px: float, *, common_factor: bool = False) -> list[Candidate]:
-    """Return candidates, best first, at least one `radius_px` (in reduced pixels) apart.
+def find_candidates(reduced: ReducedIntensity, radius_px: float, *, common_factor: bool) -> list[tuple[float, float]]:
+    """Return full-size (column, row) of candidates, best first, at least one `radius_px` (in reduced pixels) apart.
 
     common_factor : the mean of a patch may differ from untouched skin by one factor in all channels, as two frames of
         one calibration may
@@ -296,10 +287,8 @@ def find_candidates(reduced: ReducedIntensity, radius_px: float, *, common_facto
     reach = max(int(radius_px), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     rows, columns = np.nonzero((score >= cv2.dilate(score, disc)) & (score > MIN_SCORE))
-    places = [
-        Candidate(*reduced.to_full(float(c), float(r)), float(score[r, c])) for r, c in zip(rows, columns, strict=True)
-    ]
-    return sorted(places, key=lambda place: -place.score)
+    best = np.argsort(-score[rows, columns], kind="stable")
+    return [reduced.to_full(float(columns[number]), float(rows[number])) for number in best]
 
 
 def _ramp_score(deviation: Float32Array, radius_px: float, common_factor: bool) -> Float32Array:

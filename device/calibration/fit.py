@@ -118,13 +118,12 @@ def fit_inverse_map(
     *,
     max_samples: int = 40_000,
     light: IlluminationMap | None = None,
-    thorough: bool = False,
 ) -> InverseFit:
     """Return the inverse map fitted to samples of `balls`, with its held-out errors.
 
     The full-size field has the `shape` (H, W). Arguments and errors as for `begin_fit`.
     """
-    return begin_fit(samples, balls, shape, max_samples=max_samples, light=light, thorough=thorough).finished()
+    return begin_fit(samples, balls, shape, max_samples=max_samples, light=light).finished()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

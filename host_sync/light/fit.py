@@ -24,12 +24,11 @@ from host_sync.integration.datum import cell_means
 from host_sync.integration.integrate import integrate
 from host_sync.integration.zero_level import find_datum
 from host_sync.kernels.cell_rows import cell_px, means_of_cells, middles_of_cells
-from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.bundle import OUTLYING, Bundle
 from host_sync.light.cells import MAP_REACH, Cells, CellSlopes
 from host_sync.light.kernel_derivatives import Numbers
-from host_sync.light.kernels import incoming_light, write_light
-from host_sync.light.model import LightModel, source_points
+from host_sync.light.kernels import incoming_light
+from host_sync.light.model import LightModel
 from host_sync.uncertainty.elevation import ElevationCorrection
 from host_sync.uncertainty.slope_error import OverCells
 
@@ -154,8 +153,9 @@ def with_source(bundle: Bundle, numbers: Numbers) -> Numbers:
     tried = np.concatenate([places, np.full((len(places), 2), 0.2)], axis=1)
     lit = terms.lit
     level = np.zeros_like(lit.p)
-    light = _one_light(tried, model, (lit.p, lit.q, bundle.x, bundle.y, lit.z))
-    rest = _one_light(tried, model, (level, level, bundle.x, bundle.y, level))
+    one_each = replace(model, sources=tried)
+    light = one_each.light(lit.p, lit.q, bundle.x, bundle.y, lit.z)
+    rest = one_each.light(level, level, bundle.x, bundle.y, level)
     chosen, strengths = [], np.zeros((missing.shape[1], missing.shape[1]))
     for channel in range(missing.shape[1]):
         change = (light - terms.ratio[:, channel, None] * rest) / terms.at_rest[:, channel, None]
@@ -172,13 +172,6 @@ def with_source(bundle: Bundle, numbers: Numbers) -> Numbers:
         extent=np.concatenate([numbers.extent, added[:, 3:]]),
         strength=np.concatenate([numbers.strength, strengths], axis=1),
     )  # fmt: skip
-
-
-def _one_light(sources: Float64Array, model: LightModel, skin: tuple[Float64Array, ...]) -> Float64Array:
-    """Return the light of sources (S, 4) on a model's coat: shape (N, S)."""
-    out = np.empty((len(skin[0]), len(sources)))
-    parallel_rows(write_light, (len(out), 64), *source_points(sources, model.fall_off), model.coat, *skin, out)
-    return out
 
 
 READER_STEPS: Final = 5

@@ -30,7 +30,7 @@ from device.calibration.fit import InverseFit, SlopeBand
 from device.imaging.flat_field import NormalizedImage
 from device.surface import Float32Array, Float64Array, MaskArray
 from host_sync.uncertainty.calibration_uncertainty import believed_gains, gains_of_ball, with_gains
-from host_sync.uncertainty.elevation import ElevationCorrection, elevation_correction
+from host_sync.uncertainty.elevation import ElevationCorrection
 
 SPLIT_FRACTION: Final = 0.1
 """Standard deviation of the Gaussian that parts pixel from patch, as a share of the contact radius."""
@@ -82,7 +82,6 @@ class _BallError:
 
     inside, truth, ball : pixels that count, true slopes (2, h, w), and the ball in the window
     place : centre of the ball, column and row in widths of the field
-    corner : first row and column of the window
     """
 
     slope: Float64Array
@@ -90,15 +89,14 @@ class _BallError:
     truth: Float64Array
     ball: Ball
     place: tuple[float, float]
-    corner: tuple[int, int]
 
 
 def measure_slope_error(
     presses: Pressed,
     training: BallSamples,
     fit: InverseFit,
-    elevation: ElevationCorrection | None = None,
-    over_cells: OverCells | None = None,
+    elevation: ElevationCorrection,
+    over_cells: OverCells | None,
 ) -> SlopeError:
     """Return the slope error on the balls of a calibration, whose samples are `training`.
 
@@ -106,6 +104,7 @@ def measure_slope_error(
     difference at every pixel. The correction of slopes over cells is judged by balls that it was not fitted to. Gains
     are those of all balls: what they leave open is estimated from the folds in every frame.
 
+    elevation : at which the balls showed each slope
     over_cells : what corrects the map's slopes over cells; None where nothing does
     """
     known = bool(fit.replicas) or over_cells is not None
@@ -127,7 +126,7 @@ def measure_slope_error(
         pixel_deg=tuple(pixel for _, pixel, _ in bands),
         patch_deg=tuple((1.0 if known else inflation.at(tilt, pixel)) * patch for tilt, pixel, patch in bands),
         patch_px=_reach_px(sums),
-        elevation=elevation or elevation_correction(presses, training, fit.map),
+        elevation=elevation,
         ball_gains=tuple(tuple(more * gain for gain in ball) for ball in gains),
         ball_places=places,
     )
@@ -294,7 +293,7 @@ def _ball_errors(
                 ball.column - window[1].start, ball.row - window[0].start, ball.contact_radius_px, ball.radius_px
             )
             place = float(ball.column / image.shape[1]), float(ball.row / image.shape[1])
-            yield _BallError(slope, inside, truth, here, place, (window[0].start, window[1].start))
+            yield _BallError(slope, inside, truth, here, place)
 
 
 def _centred(ball: Ball, read: Float64Array, column: Float32Array, row: Float32Array) -> Ball:
