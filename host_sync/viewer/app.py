@@ -95,9 +95,9 @@ def make_app(service: ViewerService, access: Access) -> Starlette:
         Route("/api/link", _answering(lambda _: json_answer({"link": access.link}))),
         Route("/api/palettes", _answering(lambda _: json_answer(palettes()))),
         Route("/api/scan/{key}", _answering(lambda request: _facts(service, request))),
-        Route("/api/scan/{key}/thumbnail", _answering(lambda request: _thumbnail(service, request))),
-        Route("/api/scan/{key}/frame", _answering(lambda request: _frame(service, request))),
-        Route("/api/scan/{key}/calibration", _answering(lambda request: _calibration_overview(service, request))),
+        Route("/api/scan/{key}/thumbnail", _picture(service.thumbnail, "image/webp")),
+        Route("/api/scan/{key}/frame", _picture(service.frame, "image/jpeg")),
+        Route("/api/scan/{key}/calibration", _picture(service.calibration_overview, "image/png")),
         Route("/api/scan/{key}/sigma", _answering(lambda request: _sigma(service, request))),
         Route("/api/scan/{key}/level/{level:int}", _answering(lambda request: _level(service, request))),
         Route("/api/scan/{key}/height", _answering(lambda request: _height(service, request))),
@@ -222,20 +222,10 @@ def _facts(service: ViewerService, request: Request) -> Response:
     return json_answer(entry_info(entry) | service.facts(entry.key))
 
 
-def _thumbnail(service: ViewerService, request: Request) -> Response:
-    return _picture(service.thumbnail(_key(request)), "image/webp")
-
-
-def _frame(service: ViewerService, request: Request) -> Response:
-    return _picture(service.frame(_key(request)), "image/jpeg")
-
-
-def _calibration_overview(service: ViewerService, request: Request) -> Response:
-    return _picture(service.calibration_overview(_key(request)), "image/png")
-
-
-def _picture(data: bytes, media: str) -> Response:
-    return Response(data, media_type=media, headers={"Cache-Control": "private, max-age=3600"})
+def _picture(picture: Callable[[str], bytes], media: str) -> Callable[[Request], Any]:
+    """Return a handler that answers with the picture of a scan."""
+    headers = {"Cache-Control": "private, max-age=3600"}
+    return _answering(lambda request: Response(picture(_key(request)), media_type=media, headers=headers))
 
 
 def _sigma(service: ViewerService, request: Request) -> Response:
