@@ -186,18 +186,6 @@ class Solution:
     moments: Float64Array | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoarseSolution:
-    """State after the level below the pixels is solved.
-
-    solve : direct solver of the coarsest level
-    error : estimated error of the finest level that had several cycles; 0 where none had
-    """
-
-    solve: DirectSolver
-    error: float
-
-
 def full_multigrid(
     field: FineLevel,
     levels: list[GridLevel],
@@ -215,7 +203,7 @@ def full_multigrid(
     if not levels:
         return _solve_directly(field, tolerance)
     coarse = _coarse_solution(field, levels, COARSE_WEIGHT_DAMPING, components)
-    solution = _finest_cycles(field, levels, coarse, heights, components, tolerance, max_cycles)
+    solution = _finest_cycles(field, levels, *coarse, heights, components, tolerance, max_cycles)
     cycles = max_cycles - len(solution.residuals)
     if not solution.error > solution.tolerance or cycles <= 0:
         return solution
@@ -231,7 +219,7 @@ def _conjugate_gradients(
 ) -> Solution:
     """Return the solution by conjugate gradients with V-cycles on undamped levels; it cannot diverge."""
     finest = build_level(field)
-    solve = _coarse_solution(field, levels, 0.0).solve
+    solve, _ = _coarse_solution(field, levels, 0.0)
     sweep(field, smoothing(), None, finest.z, coarse=levels[0].z, nested=True)
     rhs = finest.rhs.astype(np.float64)
     if components is None:
@@ -257,8 +245,12 @@ def _coarse_solution(
     levels: list[GridLevel],
     coarse_weight_damping: float,
     components: BackgroundCall[Components] | None = None,
-) -> CoarseSolution:
-    """Solve the level below the pixels, coarsest level first; start labelling `components` meanwhile."""
+) -> tuple[DirectSolver, float]:
+    """Solve the level below the pixels, coarsest level first; start labelling `components` meanwhile.
+
+    Returns the direct solver of the coarsest level, and the estimated error of the finest level that had several
+    cycles; 0 where none had.
+    """
     coarsen_pixels(field, levels[0], coarse_weight_damping)
     for level, coarse in pairwise(levels):
         coarsen(level, coarse, coarse_weight_damping)
@@ -272,13 +264,14 @@ def _coarse_solution(
     for depth in range(len(levels) - 2, -1, -1):
         times, after = cycles[min(depth, len(cycles) - 1)], 1 if depth else 0
         error = nested_cycles(levels[depth:], solve, times, after) or error
-    return CoarseSolution(solve, error)
+    return solve, error
 
 
 def _finest_cycles(
     field: FineLevel,
     levels: list[GridLevel],
-    solved: CoarseSolution,
+    solve: DirectSolver,
+    coarse_error: float,
     heights: tuple[Float32Array, Float32Array],
     components: BackgroundCall[Components] | None,
     tolerance: float | None,
@@ -297,7 +290,7 @@ def _finest_cycles(
         center_cells(coarse.z, (field.p.shape[0], field.p.shape[1]))
     first = sweep(field, steps, None, before, coarse=coarse.z, nested=True, coarse_rhs=rhs, measured=True)
     tolerance = max(NOISE_FRACTION * first.change, field.min_tolerance) if tolerance is None else tolerance
-    error = START_FRACTION * first.change + solved.error
+    error = START_FRACTION * first.change + coarse_error
     if not np.isfinite(first.change):
         return Solution(before, (), float("nan"), tolerance)
     if max_cycles == 0 or (not weighted and error <= tolerance):
@@ -308,9 +301,9 @@ def _finest_cycles(
     residuals = [first.residual]
     corrections: list[float] = []
     while True:
-        v_cycle(levels, solved.solve, after=0)
+        v_cycle(levels, solve, after=0)
         corrections.append(root_mean_square(coarse.z))
-        error = remaining_error(corrections, solved.error)
+        error = remaining_error(corrections, coarse_error)
         if error <= tolerance or len(corrections) >= max_cycles or stalls(corrections):
             if field.weight is None or components is None:
                 add_correction(before, coarse.z)

@@ -32,20 +32,11 @@ MINUS_ZERO: Final = np.int32(-0x80000000)
 """Bit patterns of float32 infinity and minus zero; those of other non-finite numbers are larger or negative."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FieldInfo:
-    """Contents of a gradient field.
+def validated_weight(gradients: GradientField) -> tuple[Float32Array | None, float]:
+    """Return the weights of a field, float32 array of shape (H, W), 0 at holes, and the largest of them.
 
-    weight : float32 array of shape (H, W), 0 at holes; None for a full rectangle of equal weights
-    largest : largest weight; 1 for a full rectangle of equal weights
-    """
-
-    weight: Float32Array | None
-    largest: float
-
-
-def validate_field(gradients: GradientField) -> FieldInfo:
-    """Check shapes and weights of a field; slopes are checked by `raise_slope_error` when heights are not finite.
+    A full rectangle of equal weights has None and 1. Slopes are checked by `raise_slope_error` when heights are not
+    finite.
 
     Raises
     ------
@@ -59,10 +50,10 @@ def validate_field(gradients: GradientField) -> FieldInfo:
     if len(shape) != 2 or min(shape) < MIN_SIDE_PX:
         raise IntegrationError(f"a gradient field of shape {shape} is too small: integration needs at least 3x3 pixels")
     if _is_broadcast_scalar(gradients.weight) and gradients.weight[0, 0] == 1.0 and _all_true(gradients.valid):
-        return FieldInfo(None, 1.0)
+        return None, 1.0
     weight = np.ascontiguousarray(gradients.weight, np.float32)
     if _all_equal(gradients.valid, weight):
-        return FieldInfo(None, 1.0)
+        return None, 1.0
     counts, extremes = np.zeros((shape[0], 3), np.int32), np.zeros((shape[0], 2), np.int32)
     parallel_rows(_scan_rows, shape, gradients.valid, weight.view(np.int32), counts, extremes)
     used, odd, stray = (int(count) for count in counts.sum(axis=0))
@@ -74,12 +65,12 @@ def validate_field(gradients: GradientField) -> FieldInfo:
         )
     smallest, largest = (float(w.view(np.float32)) for w in (extremes[:, 0].min(), extremes[:, 1].max()))
     if used == weight.size and smallest == largest:
-        return FieldInfo(None, 1.0)
+        return None, 1.0
     if stray:
         weight = np.where(gradients.valid, weight, np.float32(0.0))
     if smallest < MIN_WEIGHT * largest or largest < np.finfo(np.float32).tiny:
-        return FieldInfo(_normalize(weight, largest), 1.0)
-    return FieldInfo(weight, largest)
+        return _normalize(weight, largest), 1.0
+    return weight, largest
 
 
 def _normalize(weight: Float32Array, largest: float) -> Float32Array:
@@ -254,25 +245,28 @@ class Integrator:
         """
         if not (np.isfinite(pitch_um) and pitch_um > 0.0):
             raise IntegrationError(f"pixel pitch must be positive and finite, got {pitch_um} µm")
-        found = validate_field(gradients)
+        weight, largest = validated_weight(gradients)
         if gradients.valid.shape != self._shape:
             raise IntegrationError(f"this solver is for fields of shape {self._shape}, got {gradients.valid.shape}")
         if out is not None and (out.shape != self._shape or out.dtype != np.float32 or not out.flags.writeable):
             raise IntegrationError(f"`out` must be a writable float32 array of shape {self._shape}")
-        field = _fine_level(gradients, found, edges, pitch_um)
-        components = None if found.weight is None else BackgroundCall(label_components, found.weight)
+        p, q = (np.ascontiguousarray(slope, np.float32) for slope in (gradients.p, gradients.q))
+        # The pitch goes into the edge coefficients, so that heights come out in µm.
+        rule = np.float32(pitch_um) * edge_coefficients(edges)
+        field = FineLevel(p, q, weight, np.float32(1.0 / largest), rule, MIN_TOLERANCE_PX * pitch_um)
+        components = None if weight is None else BackgroundCall(label_components, weight)
         z = np.empty(field.p.shape, np.float32) if out is None else out
-        levels = self._coarser(found.weight is not None)
+        levels = self._coarser(weight is not None)
         tolerance_um = None if tolerance_px is None else tolerance_px * pitch_um
         solution = full_multigrid(field, levels, (z, self._spare), components, tolerance_um, max_cycles)
         if np.isnan(solution.error):
             raise_slope_error(gradients)
         if solution.z is not z:
             z[:] = solution.z
-        if components is not None and found.weight is not None:
+        if components is not None and weight is not None:
             moments = solution.moments
             parts = components.result()
-            parts.center(z, parts.moments(z, found.weight) if moments is None else moments)
+            parts.center(z, parts.moments(z, weight) if moments is None else moments)
         elif not solution.centered:
             center_rectangle(z)
         residuals = tuple(residual / pitch_um for residual in solution.residuals)
@@ -290,13 +284,6 @@ class Integrator:
             rows, columns = self._shape
             self._levels[weighted] = coarser_levels((rows, columns), weighted)
         return self._levels[weighted]
-
-
-def _fine_level(gradients: GradientField, found: FieldInfo, edges: EdgeRule, pitch_um: float) -> FineLevel:
-    """Return the field as the finest level; the pitch goes into the edge coefficients, so heights come out in µm."""
-    p, q = (np.ascontiguousarray(slope, np.float32) for slope in (gradients.p, gradients.q))
-    rule = np.float32(pitch_um) * edge_coefficients(edges)
-    return FineLevel(p, q, found.weight, np.float32(1.0 / found.largest), rule, MIN_TOLERANCE_PX * pitch_um)
 
 
 # Compiles the solver's kernels before they are needed, beside other work of a first run.
