@@ -191,11 +191,9 @@ def rest_height(
     resting = known & resting
     if not resting.any():
         return np.zeros_like(means)
-    slope = np.hypot(*surface_slopes(HeightMap(means, height.pitch_um * height.z_um.shape[1] / calm.shape[1])))
-    limit = min(GENTLE_SIGMAS * slope_sigma, FLANK_FRACTION * float(np.percentile(slope, STEEPEST_PERCENT)))
-    parts, labels = cv2.connectedComponents((calm | (known & (slope < limit))).astype(np.uint8), connectivity=4)
-    sizes = np.bincount(labels[resting], minlength=parts)
-    levels = np.bincount(labels[resting], means[resting], minlength=parts) / np.maximum(sizes, 1)
+    labels = _connected(means, known, calm, _cell_um(height, calm), GENTLE_SIGMAS * slope_sigma)
+    sizes = np.bincount(labels[resting], minlength=labels.max() + 1)
+    levels = np.bincount(labels[resting], means[resting], minlength=len(sizes)) / np.maximum(sizes, 1)
     above = means - levels.astype(np.float32)[labels]
     zero_um = np.float32(levels[sizes.argmax()])
     error = _continued(np.where(resting, above, np.float32(0.0)), resting.astype(np.float32))
@@ -204,6 +202,38 @@ def rest_height(
         z_um = np.where(skin, above, (means - zero_um) * known) - error
         error -= np.where(resting, np.float32(0.0), enlarged(_lift(z_um, skin, resting, weight), error.shape))
     return error + zero_um
+
+
+def levels_apart_um(height: HeightMap, resting: MaskArray, calm: MaskArray, slope_sigma: float) -> float:
+    """Return how far apart skin at rest lies that no steep flank separates, µm; 0 where that may be noise.
+
+    Either an object rises gently to a flat face, or slopes are wrong. Arguments are those of `rest_height`.
+    """
+    means, known = _mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
+    resting = known & resting
+    labels = _connected(means, known, calm, _cell_um(height, calm), np.inf)
+    levels = [means[resting & (labels == part)] for part in np.unique(labels[resting])]
+    apart_um = max((float(np.ptp(level)) for level in levels), default=0.0)
+    noise_um = max(BULGE * float(means.max()), slope_sigma * _cell_um(height, calm))
+    return apart_um if apart_um > noise_um else 0.0
+
+
+def _cell_um(height: HeightMap, cells: MaskArray) -> float:
+    """Return the distance of neighbouring cells over the field of a height map, µm."""
+    return float(height.pitch_um * height.z_um.shape[1] / cells.shape[1])
+
+
+def _connected(
+    means: Float32Array, known: MaskArray, calm: MaskArray, cell_um: float, steepest: float
+) -> NDArray[np.int32]:
+    """Return the number of the part of connected calm or gentle skin that each cell belongs to, 0 for none: (h, w).
+
+    steepest : slope of gentle skin, at most
+    """
+    slope = np.hypot(*surface_slopes(HeightMap(means, cell_um)))
+    limit = min(steepest, FLANK_FRACTION * float(np.percentile(slope, STEEPEST_PERCENT)))
+    gentle = (calm | (known & (slope < limit))).astype(np.uint8)
+    return np.asarray(cv2.connectedComponents(gentle, connectivity=4)[1], np.int32)
 
 
 def _lift(z_um: Float32Array, skin: MaskArray, resting: MaskArray, weight: Float32Array) -> Float32Array:

@@ -13,13 +13,13 @@ import numpy as np
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import CALM, MIN_RESTING, RESTING, RestEvidence
-from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, rest_height
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, levels_apart_um, rest_height
 from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
 from host_sync.frame_checks.colour_check import check_datum
 from host_sync.integration.integrate import IntegrationReport, integrate
-from host_sync.integration.zero_level import Datum, find_datum, no_datum
+from host_sync.integration.zero_level import NO_ZERO, Datum, find_datum, no_datum
 from host_sync.johnson2009.model import integrate_forward_difference
 from host_sync.kernels.jit import njit
 from host_sync.kernels.parallel_rows import parallel_rows
@@ -91,12 +91,14 @@ class Heights:
     gradients : the slopes that it was integrated from, of a camera nearby as they rise over its pixels
     datum : what the zero was taken from
     unlit : why the skin there is not lit as skin at rest is, a sentence each
+    doubts : why the zero may be wrong, a sentence each
     """
 
     height: HeightMap
     gradients: GradientField
     datum: Datum
     unlit: list[str]
+    doubts: list[str]
 
     @classmethod
     def of(cls, slopes: RestingSlopes, integrated: HeightMap, reading: SlopeReading) -> Heights:
@@ -112,7 +114,13 @@ class Heights:
         if slopes.viewpoint is not None:
             height = seen_elevation(height, slopes.viewpoint)
             gradients = seen_slopes(slopes.read, slopes.viewpoint, height, out=gradients)
-        return cls(height, gradients, datum, unlit)
+        doubts = [NO_ZERO] if datum.is_relative else []
+        apart_um = 0.0 if slopes.prior is None else slopes.prior.levels_apart_um(integrated)
+        if apart_um > 0.0:
+            doubts.append(
+                f"untouched skin lies at heights {apart_um:.0f} µm apart: objects pressed beside it, or errors"
+            )
+        return cls(height, gradients, datum, unlit, doubts)
 
 
 def noise_of(frame: LinearFrame | RawFrame, calibration: Calibration) -> SlopeNoise | None:
@@ -256,9 +264,17 @@ class RestPrior:
 
     def level(self, height: HeightMap) -> None:
         """Level heights in place, so that skin at rest is level and zero on its largest part."""
-        resting, calm = (self.lit & (self.kept < most) for most in (RESTING, CALM))
-        error = rest_height(height, resting, calm, self.slope_sigma, self.weight)
+        error = rest_height(height, *self._skin, self.slope_sigma, self.weight)
         parallel_rows(_take_off_rows, height.z_um.shape, height.z_um, error)
+
+    def levels_apart_um(self, height: HeightMap) -> float:
+        """Return how far apart skin at rest lies in levelled heights; see `device.surface.levels_apart_um`."""
+        return levels_apart_um(height, *self._skin, self.slope_sigma)
+
+    @property
+    def _skin(self) -> tuple[MaskArray, MaskArray]:
+        """Cells at rest, and calm ones."""
+        return self.lit & (self.kept < RESTING), self.lit & (self.kept < CALM)
 
     def at_rest(self, shape: tuple[int, ...]) -> MaskArray:
         """True where skin is at rest: bool array of `shape` (H, W)."""

@@ -13,7 +13,7 @@ from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import without_blur
 from host_sync.gradients.confidence import extrapolated
 from host_sync.integration.integrate import IntegrationReport, surface_slopes
-from host_sync.integration.zero_level import NO_ZERO, Datum
+from host_sync.integration.zero_level import Datum
 from host_sync.kernels.parallel_rows import BackgroundCall
 from host_sync.kernels.process_settings import kept_memory
 from host_sync.reconstruction.heights import (
@@ -146,7 +146,7 @@ def reconstruct(
         integration=integration,
         extrapolated=beyond,
         clipped_share=float(np.count_nonzero(intensity.clipped)) / intensity.clipped.size,
-        warnings=(*reading.warnings, *heights.unlit, *([NO_ZERO] if heights.datum.is_relative else [])),
+        warnings=(*reading.warnings, *heights.unlit, *heights.doubts),
         frame_checks=(
             *reading.first.checks,
             *(FrameCheck("untouched skin", "refused", words=words) for words in heights.unlit),

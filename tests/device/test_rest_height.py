@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.inverse_map.skin_at_rest import CALM, RESTING
-from device.surface import HeightMap, enlarged, rest_height
+from device.surface import HeightMap, enlarged, levels_apart_um, rest_height
 
 SHAPE = (96, 128)
 CELLS = (24, 32)
@@ -56,6 +56,17 @@ def test_gentle_skin_beside_an_object_connects_what_is_at_rest_as_far_as_slopes_
 def test_the_flank_of_a_low_step_connects_nothing_however_uncertain_slopes_are() -> None:
     height = np.clip((COLUMN - 56.0) / 16.0, 0.0, 1.0) * np.float32(8.0)
     assert level_right(height, 0.1) == pytest.approx(8.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("between_um", "apart_um"), [(20.0, 60.0), (1.0, 0.0)])
+def test_skin_at_rest_that_lies_apart_without_a_steep_flank_is_found(between_um: float, apart_um: float) -> None:
+    ball_um = np.maximum(200.0 - 0.8 * ((COLUMN - 64.0) ** 2 + (ROW - 60.0) ** 2), 0.0)
+    rise_um = 60.0 * np.clip((COLUMN - 64.0) / (2.0 * between_um) + 0.5, 0.0, 1.0)
+    heights = HeightMap((ball_um + rise_um).astype(np.float32), PITCH_UM)
+    cells = kept(slice(10, 22), 1.0)
+    assert levels_apart_um(heights, cells < RESTING, cells < CALM, SURE) == pytest.approx(apart_um, abs=0.1)
+    flat = HeightMap(1e-4 * COLUMN, PITCH_UM)
+    assert levels_apart_um(flat, cells < RESTING, cells < CALM, SURE) == 0.0
 
 
 def test_the_largest_part_is_zero() -> None:
