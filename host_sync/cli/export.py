@@ -182,6 +182,7 @@ def import_command(
     ball_diameter_mm: float | None = None,
     ball_radius_mm: float | None = None,
     encoding: Literal["linear", "srgb"] | None = None,
+    full_scale: int | None = None,
     reference: Path | None = None,
     results: Annotated[Folder | None, Parameter(help="Also calibrate and reconstruct: folder for the results.")] = None,
 ) -> int:
@@ -214,6 +215,8 @@ def import_command(
         Radius of the calibration ball, instead of its diameter.
     encoding
         How pixel values encode light.
+    full_scale
+        Largest count of images of 16 bit, such as 4095 of a camera of 12 bit.
     reference
         The image of untouched skin, or for gelsight its scan's folder.
     """
@@ -241,7 +244,7 @@ def import_command(
     check_output(path, makes_folders=True)
     by_diameter = ball_diameter_mm is not None
     radius_mm = ball_radius_mm if ball_diameter_mm is None else 0.5 * ball_diameter_mm
-    said = Said(pixel_pitch_um, radius_mm, encoding, reference, pixel_pitch_down_um, by_diameter)
+    said = Said(pixel_pitch_um, radius_mm, encoding, reference, pixel_pitch_down_um, full_scale, by_diameter)
     draft = _described(folder, kind, said, field_mm)
     draft.write(path)
     _print_draft(draft, path)

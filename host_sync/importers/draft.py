@@ -34,6 +34,7 @@ class Said:
     """Values that the user gave, None where nothing: they precede those of files.
 
     pitch_down_um : the pixel pitch down a column, where it is not that along a row
+    full_scale : count at which a pixel of 16 bit is saturated
     states_diameter : the ball was given by its diameter
     """
 
@@ -42,6 +43,7 @@ class Said:
     encoding: Encoding | None = None
     reference: Path | None = None
     pitch_down_um: float | None = None
+    full_scale: int | None = None
     states_diameter: bool = False
 
 
@@ -73,6 +75,7 @@ class Draft:
     notes : what the user should know of the folder, one sentence each
     pitch_tolerance_um : the pixel pitch lies within ± this; None where that is not known
     pitch_down_um : the pixel pitch down a column, where it is not that along a row
+    full_scale : count at which a pixel of 16 bit is saturated; None where it is not known
     states_diameters : balls are given by their diameters
     """
 
@@ -86,6 +89,7 @@ class Draft:
     notes: tuple[str, ...] = ()
     pitch_tolerance_um: float | None = None
     pitch_down_um: float | None = None
+    full_scale: int | None = None
     states_diameters: bool = False
 
     def pitch_of_field_um(self, field_mm: float) -> float:
@@ -176,6 +180,8 @@ class Draft:
         if self.pitch_tolerance_um is not None:
             lines.append(f"pixel_pitch_tolerance_um = {self.pitch_tolerance_um:.3g}")
         lines.append(f"encoding = {_text(self.encoding or '')}")
+        if self.full_scale is not None:
+            lines.append(f"full_scale = {self.full_scale}")
         for light in self.lights:
             lines += ["", "[[light]]", f"name = {_text(light)}"]
         if self.reference:

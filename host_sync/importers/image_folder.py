@@ -46,6 +46,7 @@ FIRST: Final = re.compile(r"(frame|ball|im|image|img)?[-_ ]?0+", re.IGNORECASE)
 CALIBRATES: Final = re.compile(r"^cal(i|ib|ibration)?[-_ ]?\d", re.IGNORECASE)
 PRESSED: Final = re.compile(r"ball|press|sphere|bead|^sample|^im[-_ ]?\d", re.IGNORECASE)
 MOVIES: Final = (".mp4", ".avi", ".mov", ".mkv", ".webm")
+CONTACT_SHEET: Final = "frameset-balls.png"
 MIN_GROUP: Final = 3
 COMPARED: Final = 12
 """So many images of a group are looked at."""
@@ -62,9 +63,8 @@ def import_images(source: Path, said: Said) -> Draft:
     FrameSetError
         It holds no images.
     """
-    found = sorted(
-        (one for one in source.iterdir() if one.suffix.lower() in SUFFIXES and one.name[0] != "."), key=natural_order
-    )
+    images = (one for one in source.iterdir() if one.suffix.lower() in SUFFIXES and one.name[0] != ".")
+    found = sorted((one for one in images if one.name != CONTACT_SHEET), key=natural_order)
     if not found:
         _check_movies(source)
         raise FrameSetError(f"{source}: holds no PNG, TIFF or JPEG images: name the folder of the frames")

@@ -35,6 +35,7 @@ from host_sync.importers.ball_tables import (
 from host_sync.importers.draft import Draft, Said, short_names
 from host_sync.importers.gelsight_scan import SCAN_FILE, import_gelsight
 from host_sync.importers.image_folder import MOVIES, SeenPress, import_images, look_at, survey_radius
+from host_sync.light_groups import CHANNELS
 from host_sync.render.picture_file import figure_png
 
 Kind = Literal["gelsight", "gs_sdk", "py3dcal", "taxim", "fots", "digit", "images"]
@@ -104,6 +105,7 @@ def read_folder(source: Path, kind: Kind, said: Said) -> Draft:
     return replace(
         draft,
         pitch_down_um=said.pitch_down_um,
+        full_scale=said.full_scale,
         states_diameters=said.states_diameter or draft.states_diameters,
     )
 
@@ -136,7 +138,7 @@ def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:
     Raises
     ------
     FrameSetError
-        The reference cannot be read.
+        The reference cannot be read, or frames show too few lights.
     OutputError
         The picture cannot be written.
     """
@@ -145,6 +147,8 @@ def write_contact_sheet(frame_set: FrameSet, path: Path) -> tuple[str, ...]:
     shown = []
     names = short_names([press.frame.images[0] for press in presses])
     for press, found in zip(presses, look_at(frame_set, MAX_SHEET_PRESSES), strict=True):
+        if found.frame is not None and found.frame.rgb.shape[2] < CHANNELS:
+            raise FrameSetError(f"{press.frame.images[0]}: is grey: give frames of three lights or more, as RGB images")
         shown.append(_shown(names[press.frame.images[0]], press, found, frame_set.shape, width_px))
     figure = Figure(figsize=(WIDTH_IN, HEAD_IN + sheet_height_in(shown, WIDTH_IN)))
     draw_sheet(figure, shown, WIDTH_IN, HEAD_IN)

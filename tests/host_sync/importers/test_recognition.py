@@ -99,6 +99,34 @@ def test_two_pitches_and_a_diameter_stand_in_the_set(tmp_path: Path) -> None:
     assert found.presses[0].ball_radius_mm == 2.0
 
 
+def test_the_full_scale_of_images_of_16_bit_is_stated(tmp_path: Path) -> None:
+    for name, places in (("ref", []), *((f"ball-{number}", [place]) for number, place in enumerate(PLACES))):
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), frame(places).astype(np.uint16) * 16)
+    assert run(tmp_path, *OPTIONS, "--full-scale", 4095) == 0
+    assert load_frame_set(tmp_path / "frameset.toml").full_scale == 4095
+
+
+def test_grey_images_are_refused_and_nothing_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "ball-{}.png")
+    for image in tmp_path.iterdir():
+        assert cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_GRAYSCALE))
+    assert run(tmp_path, *OPTIONS) == 2
+    assert "is grey: give frames of three lights or more" in capsys.readouterr().err
+    assert not (tmp_path / "frameset.toml").exists()
+
+
+def test_a_second_import_ignores_the_contact_sheet_of_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put(tmp_path / "ref.png")
+    presses(tmp_path, "ball-{}.png")
+    assert run(tmp_path, *OPTIONS) == 0
+    assert (tmp_path / "frameset-balls.png").exists()
+    assert run(tmp_path, *OPTIONS, "--out", tmp_path / "again.toml") == 0
+    assert "left out" not in capsys.readouterr().out
+
+
 def test_copies_of_a_press_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     put(tmp_path / "ref.png")
     presses(tmp_path, "sample_{}.png")
