@@ -206,6 +206,7 @@ def mosaic_command(
         from host_sync.mosaic.links import read_layout
         from host_sync.mosaic.presses import check_together, presses_of
         from host_sync.mosaic.stitch import stitch
+        from host_sync.results.doubts import record_doubts
         from host_sync.results.record import read_record
 
         presses = presses_of(folders, out, library, left_out)
@@ -217,7 +218,8 @@ def mosaic_command(
     if json:
         print_json(record)
     else:
-        for line in _mosaic_summary(record, out, read_record(out).warnings):
+        doubts = [doubt.reason for doubt in record_doubts(read_record(out)) if doubt.kind != "no zero"]
+        for line in _mosaic_summary(record, out, doubts):
             print_line(line)
     return PARTLY if record.left_out or record.unusable else DONE
 

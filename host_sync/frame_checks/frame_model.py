@@ -63,8 +63,8 @@ class FrameModel:
         found = []
         if not self.pattern.identifiable:
             found.append(
-                "frames cannot be checked for another gel or for focus: the calibration's presses show no pattern of "
-                "the skin that a reference frame has too"
+                "frames cannot be checked for another gel, a shift or focus: the calibration's presses show no pattern "
+                "of the skin that a reference frame has too"
             )
         if self.levels.reach > MAX_REACH:
             found.append(

@@ -21,12 +21,16 @@ from host_sync.mosaic.links import Link
 from host_sync.mosaic.presses import MOSAIC_FILE, Press
 from host_sync.registration.fit import reduced
 from host_sync.render.relief_sheet import write_relief
+from host_sync.results.doubts import record_doubts
 from host_sync.results.field_file import write_field, write_mask
 from host_sync.results.files import EXTRAPOLATED_FILE, HEIGHT_FILE, HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE
 from host_sync.results.record import HeightScale, ResultRecord, encode_record
 from host_sync.text import some_of
 
 MOSAIC_SCHEMA: Final = "retrograph.mosaic/1"
+
+STATED_BY_FIGURES: Final = frozenset({"failed calibration", "extrapolated slopes", "no zero"})
+"""Doubts of presses that the mosaic's own record states."""
 
 
 class PlaceRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -286,6 +290,7 @@ def _result_record(name: str, members: list[Press], mosaic: MosaicRecord, blende
         extrapolated_share=float(blended.extrapolated.mean()),
         warnings=tuple(_warnings(members, mosaic)),
         calibration_passed=False if False in passed else None if None in passed else True,
+        calibration_failed_checks=tuple(dict.fromkeys(one for own in records for one in own.calibration_failed_checks)),
         height_scale=scales.pop() if len(scales) == 1 else HeightScale(),
     )
 
@@ -319,9 +324,9 @@ def _warnings(members: list[Press], mosaic: MosaicRecord) -> Iterator[str]:
         yield f"heights differ by more than {SEAM_SIGMAS:g} σ where presses overlap: {some_of(seams)}"
     counts: dict[str, list[str]] = {}
     for press in members:
-        for words in press.record.warnings:
-            if not words.startswith("no zero"):
-                counts.setdefault(words, []).append(press.name)
+        for doubt in record_doubts(press.record):
+            if doubt.kind not in STATED_BY_FIGURES:
+                counts.setdefault(doubt.reason, []).append(press.name)
     for words, names in counts.items():
         yield f"{words} ({some_of(names)})"
 

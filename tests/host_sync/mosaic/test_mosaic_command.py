@@ -17,8 +17,8 @@ from host_sync.errors import MosaicError
 from host_sync.mosaic.blending import disk_array
 from host_sync.mosaic.presses import MOSAIC_FILE, presses_of
 from host_sync.mosaic.writing import MosaicRecord
-from host_sync.results.files import HEIGHT_SIGMA_FILE, RELIEF_FILE
-from host_sync.results.record import read_record
+from host_sync.results.files import HEIGHT_SIGMA_FILE, RECORD_FILE, RELIEF_FILE
+from host_sync.results.record import encode_record, read_record
 
 SHAPE = (136, 182)
 
@@ -91,6 +91,24 @@ def test_no_press_is_replaced_and_no_mosaic_is_a_press(
     assert records[0].rejected == ()
     assert main(["mosaic", str(copied / "whole"), str(copied / "part-0"), "--out", str(tmp_path / "more")]) == 2
     assert "is a mosaic: name the results of its presses" in capsys.readouterr().err
+
+
+def test_doubts_of_presses_are_doubts_of_the_mosaic(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copied = tmp_path / "results"
+    shutil.copytree(results, copied)
+    part = copied / "part-1"
+    doubted = msgspec.structs.replace(
+        read_record(part), calibration_passed=False, calibration_failed_checks=("too few balls",),
+        uncovered_sectors=("left edge",), warnings=("lights drifted",),
+    )  # fmt: skip
+    (part / RECORD_FILE).write_bytes(encode_record(doubted))
+    assert main(["mosaic", str(copied), "--out", str(tmp_path / "whole")]) == 0
+    shown = capsys.readouterr().out
+    for words in ("checks: too few balls", "no ball of the calibration lies in left edge (part-1)", "lights drifted"):
+        assert words in shown
+    assert read_record(tmp_path / "whole").calibration_failed_checks == ("too few balls",)
 
 
 def test_no_uncertainty_is_made_up(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
