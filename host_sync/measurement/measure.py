@@ -30,6 +30,7 @@ from host_sync.measurement.measurands import (
 from host_sync.measurement.measurement import MeasuredProfile, MeasuredSpectrum, MeasuredStep, Measurement
 from host_sync.measurement.parameter_measurands import ArealMeasurand, ProfileMeasurand
 from host_sync.measurement.quantity import (
+    DIRECTION,
     NO_PITCH_SIGMA,
     NOISE_FRACTION,
     NOISE_WARNING,
@@ -47,7 +48,6 @@ from host_sync.results.doubts import FOREIGN_METHOD, doubts_at
 from host_sync.results.files import SAMPLES_FILE, SLOPE_SIGMA_FILE
 from host_sync.results.reader import ResultSurface, read_result
 
-DIRECTION: Final = "Std"
 NO_SHAPE_SIGMA: Final = (
     "± not stated: without an L-filter waviness dominates, which slopes determine least: set l_filter_um"
 )

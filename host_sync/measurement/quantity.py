@@ -41,6 +41,10 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.verdict}: {plain(self.low)} to {plain(self.high)}"
 
 
+DIRECTION: Final = "Std"
+"""Number that is a direction of the texture, which repeats after 180 degrees."""
+
+
 class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     """One measured number.
 

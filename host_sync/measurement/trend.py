@@ -20,7 +20,7 @@ import numpy as np
 
 from device.surface import Float64Array
 from host_sync.measurement.measurement import COPY, Measurement
-from host_sync.measurement.quantity import NO_PITCH_SIGMA, VOID, Limits, Quantity, decimals, plain
+from host_sync.measurement.quantity import DIRECTION, NO_PITCH_SIGMA, VOID, Limits, Quantity, decimals, plain
 from host_sync.results.record import REPLACED, DoubtKind
 
 INDIVIDUALS: Final = 2.66
@@ -193,8 +193,9 @@ def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Q
     for key, row in rows.items():
         known = [one for one in row if one is not None]
         limits = known[0].limits
+        values = [None if one is None else one.value for one in row]
         trend = trend_of(
-            [None if one is None else one.value for one in row],
+            _about_their_mean(values) if key[1] == DIRECTION else values,
             [None if one is None or one.uncertainty is None else one.uncertainty / one.coverage_factor for one in row],
             *((limits.low, limits.high) if limits else ()),
             coverage_factor=known[0].coverage_factor,
@@ -203,6 +204,13 @@ def trends(measurements: Sequence[Measurement]) -> dict[tuple[str, str], tuple[Q
         if trend is not None:
             found[key] = known[0], row, trend
     return found
+
+
+def _about_their_mean(directions_deg: Sequence[float | None]) -> list[float | None]:
+    """Return directions of a texture, which repeat after 180 degrees, within 90 degrees of their mean."""
+    known = np.array([one for one in directions_deg if one is not None and np.isfinite(one)])
+    mean = 0.5 * float(np.degrees(np.angle(np.exp(2j * np.radians(known)).sum())))
+    return [None if one is None else mean + (one - mean + 90.0) % 180.0 - 90.0 for one in directions_deg]
 
 
 def trend_record(measurements: Sequence[Measurement]) -> dict[str, Any]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
 from host_sync.cli.main import main
-from host_sync.measurement.trend import trend_of
+from host_sync.measurement.quantity import Quantity
+from host_sync.measurement.trend import trend_of, trends
 
 VALUES = [10.0, 12.0, 11.0, 13.0, 9.0]
 MOVING = (2.0 + 1.0 + 2.0 + 4.0) / 4.0
@@ -63,6 +65,19 @@ def test_a_scan_that_was_taken_again_takes_no_part() -> None:
 @pytest.mark.parametrize("values", [[], [1.0], [None, 2.0, None]])
 def test_fewer_than_two_have_no_trend(values: list[float | None]) -> None:
     assert trend_of(values, [None] * len(values)) is None
+
+
+def test_directions_of_a_texture_are_averaged_over_the_half_turn_after_which_they_repeat() -> None:
+    like = Quantity(
+        subject="surface", name="Std", unit="°", value=None, uncertainty=1.0, coverage_factor=1, offset=0.0, samples=16,
+        masked_share=0.0,
+    )  # fmt: skip
+    shown = (88.0, -88.0, 89.0, -89.0)
+    seen = [SimpleNamespace(quantities=[msgspec.structs.replace(like, value=value)]) for value in shown]
+    ((_, row, trend),) = trends(seen).values()
+    assert [one.value for one in row] == [88.0, -88.0, 89.0, -89.0]
+    assert abs(trend.mean) == pytest.approx(90.0)
+    assert trend.deviation < 2.0
 
 
 def test_equal_values_have_no_capability() -> None:
