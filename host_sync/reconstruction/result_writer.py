@@ -94,10 +94,11 @@ def write_result(
 
 
 def relief_words(reconstruction: Reconstruction) -> str:
-    """Return what is zero in a relief, or that nothing is, and which pixels are hatched."""
-    datum = reconstruction.datum
-    relative = "no zero: heights are relative"
-    zero = relative if datum.is_relative else f"0 is untouched skin ± {datum.zero_sigma_um:.2g} µm"
+    """Return what is zero in a relief and how uncertain heights are there, and which pixels are hatched."""
+    zero = "no zero: heights are relative"
+    if not reconstruction.datum.is_relative:
+        sigma_um = _median(np.where(reconstruction.datum.skin, reconstruction.sigma_um, np.float32(np.nan)))
+        zero = f"0 is untouched skin{'' if sigma_um is None else f' ± {sigma_um:.2g} µm'}"
     share = float(reconstruction.extrapolated.mean())
     return f"{zero}; hatched: extrapolated ({share:.0%})" if share >= HATCHED_FROM else zero
 

@@ -10,6 +10,7 @@ from near_lamps import SHAPE, balls, press_px
 
 from host_sync.calibration.calibrate import Calibration
 from host_sync.reconstruction.pipeline import Reconstruction, reconstruct
+from host_sync.reconstruction.result_writer import relief_words
 from tests.apparatus.light_ring import lit_by_ring
 
 
@@ -35,6 +36,9 @@ def test_a_ball_stands_on_flat_skin(ring_calibration: Calibration) -> None:
     assert not found.datum.is_relative
     assert np.percentile(np.abs(found.height.z_um[free]), 95) < 0.01 * truth_um.max()
     assert abs(found.height.z_um.max() / truth_um.max() - 1.0) < 0.02
+    stated_um = float(relief_words(found).partition("± ")[2].partition(" µm")[0])
+    assert stated_um == pytest.approx(float(np.median(found.sigma_um[found.datum.skin])), rel=0.05)
+    assert stated_um > np.abs(found.height.z_um[found.datum.skin]).mean()
 
 
 def test_untouched_skin_is_not_extrapolated_wherever_the_balls_were(ring_calibration: Calibration) -> None:
