@@ -4,9 +4,9 @@ The difference is looked at for round changes of several widths (`heights`). The
 difference itself, more where it is steep: what is steep differs more, by gain and by shift. Medians are used, so a
 change in a small part of the field does not hide itself; skin that neither press touched does not count. Where the
 object lies farther from its first place than the widest change, heights of both presses err independently: their
-uncertainty is part of the spread. `LIMIT` is what the largest of a field without a change stays below on the twin
-(`docs/same-spot.md`); it is more than that of normal noise, because gains differ in patches and skin that bridges
-valleys drapes differently at another depth.
+uncertainty is part of the spread. Places far more uncertain than most, as on dark borders, are not judged. `LIMIT` is
+what the largest of a field without a change stays below on the twin (`docs/same-spot.md`); it is more than that of
+normal noise, because gains differ in patches and skin that bridges valleys drapes differently at another depth.
 
 From the same spreads follows the detection limit: the height of a round change that is found in 95 % of places.
 
@@ -42,6 +42,9 @@ BAND_MIN_FILLED: Final = 0.85
 """… of which at least this part is valid."""
 
 PADDING_PX: Final = 64
+
+UNCERTAIN: Final = 2.0
+"""Uncertainty of the difference, over its median, from which a place is not judged."""
 
 
 def blurred(values: Float32Array, scale_px: float) -> tuple[Float32Array, Float32Array]:
@@ -194,6 +197,8 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
     step = _step(first)
     size = (first.z_um.shape[1] // step, first.z_um.shape[0] // step)
     off = found.z_um if untouched is None else np.where(untouched, np.float32(np.nan), found.z_um)
+    if found.sigma_um is not None and np.isfinite(found.sigma_um).any():
+        off = np.where(found.sigma_um > UNCERTAIN * np.nanmedian(found.sigma_um), np.float32(np.nan), off)
     z_um, rest = (_small(values, step, size) for values in (first.z_um, off))
     gain = _gain(z_um, rest)
     background = blurred(z_um, BACKGROUND_PX)[0]

@@ -106,6 +106,16 @@ def test_skin_at_rest_does_not_make_errors_of_the_object_a_change() -> None:
     assert found.limits[0].height_um > 1.0
 
 
+def test_a_place_far_more_uncertain_than_the_field_must_change_more() -> None:
+    first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(12.0))
+    rest = difference(first, second)
+    (dent,) = changes(first, replace(rest, sigma_um=np.full(SHAPE, 4.0, np.float32))).found
+    row, column = (round(where / PITCH_UM) for where in (dent.row_um, dent.column_um))
+    uncertain = np.full(SHAPE, 1.0, np.float32)
+    uncertain[row - 20 : row + 20, column - 20 : column + 20] = 6.0
+    assert changes(first, replace(rest, sigma_um=uncertain)).found == ()
+
+
 def test_where_the_object_moved_far_the_uncertainty_of_both_heights_counts() -> None:
     first, second = (HeightMap(z_um, PITCH_UM) for z_um in two_presses(12.0))
     rest = difference(first, second)
