@@ -173,7 +173,8 @@ def check_radii(shares: Float64Array, owners: Sequence[str]) -> None:
     raise CalibrationError(
         f"the balls' radii contradict each other: by their shading they are {np.nanmin(shares):.2f} ({small}) to "
         f"{np.nanmax(shares):.2f} ({large}) of what is stated (spread {spread:.0%}, at most {limit:.0%}), "
-        "and too many stand out to be left out: check ball_radius_mm of each press"
+        "and too many stand out to be left out: check ball_radius_mm of each press and the reference, or press more "
+        "balls"
     )
 
 
