@@ -234,6 +234,7 @@ def test_few_balls_may_differ_by_chance_and_many_may_not() -> None:
     seven = 1.0 + 0.1 * np.array([-1.3, -0.9, -0.6, 0.0, 0.5, 0.9, 1.5])
     assert radius_spread(seven) > 0.09
     check_radii(seven, names)
+    check_radii(1.0 + 1.7 * (seven[1:] - 1.0), names)
     for shares in (1.0 + 1.7 * (seven - 1.0), np.tile(1.0 + 1.2 * (seven - 1.0), 10)):
         with pytest.raises(
             CalibrationError, match=r"contradict each other: .*press-00\) to .*press-06\).* press more balls"
