@@ -164,10 +164,10 @@ twice that of free skin, on which balls show no slopes."""
 
 FLANK_FRACTION: Final = 0.3
 STEEPEST_PERCENT: Final = 99.0
-"""The same slopes stay below this fraction of the steepest, so that the flank of a low step connects nothing."""
+"""Gentle slopes also stay below this fraction of the steepest, so that the flank of a low step connects nothing."""
 
 BULGE: Final = 0.03
-"""Depth of skin beside an object as a fraction of the object's height: incompressible gel gives way, but not far."""
+"""Depth of skin around an object as a fraction of the object's height: incompressible gel gives way, but not far."""
 
 BULGE_ROUNDS: Final = 8
 
@@ -247,7 +247,8 @@ def _lift(z_um: Float32Array, skin: MaskArray, resting: MaskArray, weight: Float
     """
     share, held, z_um, weight = _halved(skin), _halved(resting) > 0.0, _halved(z_um), _halved(weight)
     lift, given = np.zeros_like(z_um), np.zeros_like(z_um)
-    highest_um, deepest_um = z_um.max(), np.float32(BULGE) * z_um.max()
+    highest_um = z_um.max()
+    deepest_um = np.float32(BULGE) * highest_um
     for _ in range(BULGE_ROUNDS):
         depth_um = -(z_um + lift)
         sunk = ~held & (share > 0.5) & (depth_um > deepest_um) & (depth_um < highest_um)

@@ -41,7 +41,7 @@ class Part:
     reading : makes its colours; None where it reads intensity itself
     curve : what reads them
     share : its weight, 0 to 1
-    at_rest : as of `RawLightBranch`, taken off its readings; None where nothing is
+    at_rest : what it reads on untouched skin, which is subtracted (see `RawLightBranch`); None to subtract nothing
     """
 
     reading: Reading | None

@@ -157,7 +157,7 @@ def skin_at_rest(intensity: NormalizedImage, noise: SkinAtRest) -> RestEvidence 
 
 
 def levelled(height: HeightMap, rest: RestEvidence, slope_sigma: float) -> HeightMap:
-    """Return heights that are level on skin at rest, and zero on its largest part; arguments as of `rest_height`."""
+    """Return heights that are level on skin at rest, and zero on its largest part; see `rest_height`."""
     resting, calm = (rest.lit & (rest.kept < most) for most in (RESTING, CALM))
     coarse = HeightMap(_coarser(height.z_um), height.pitch_um * _COARSER)
     error = enlarged(rest_height(coarse, resting, calm, slope_sigma), height.z_um.shape)

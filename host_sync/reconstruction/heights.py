@@ -117,9 +117,7 @@ class Heights:
         doubts = [NO_ZERO] if datum.is_relative else []
         apart_um = 0.0 if slopes.prior is None else slopes.prior.levels_apart_um(integrated)
         if apart_um > 0.0:
-            doubts.append(
-                f"untouched skin lies at heights {apart_um:.0f} µm apart: objects pressed beside it, or errors"
-            )
+            doubts.append(f"untouched skin lies {apart_um:.0f} µm apart in height: a flat face, or errors of slopes")
         return cls(height, gradients, datum, unlit, doubts)
 
 

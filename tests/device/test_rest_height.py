@@ -1,4 +1,4 @@
-"""Heights of skin at rest are error: level by connected parts, smooth beside them, invalid heights left out."""
+"""Heights of skin at rest are error: level by connected parts, smooth around them, invalid heights left out."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def level_right(height: np.ndarray, slope_sigma: float) -> float:
 
 
 @pytest.mark.parametrize(("slope_sigma", "apart"), [(0.03, 0.0), (SURE, 60.0)])
-def test_gentle_skin_beside_an_object_connects_what_is_at_rest_as_far_as_slopes_are_uncertain(
+def test_gentle_skin_around_an_object_connects_skin_at_rest_as_far_as_slopes_are_uncertain(
     slope_sigma: float, apart: float
 ) -> None:
     drift_um = np.clip((COLUMN - 40.0) / 48.0, 0.0, 1.0) * 60.0
@@ -128,7 +128,7 @@ def test_a_groove_across_a_plate_is_no_moat(depth_um: float) -> None:
     assert z_um[:, 60:68].mean() == pytest.approx(-depth_um, rel=0.02)
 
 
-def test_a_recess_beside_something_higher_keeps_its_depth() -> None:
+def test_a_recess_next_to_a_higher_boss_keeps_its_depth() -> None:
     recess = -40.0 * np.clip(3.0 - np.abs(COLUMN - 44.0) / 3.0, 0.0, 1.0)
     boss = 150.0 * np.clip(3.0 - np.abs(COLUMN - 84.0) / 3.0, 0.0, 1.0)
     cells = np.maximum(kept(slice(8, 14), 1.0), kept(slice(18, 24), 1.0))

@@ -84,7 +84,7 @@ class InstrumentScreen(Screen[None]):
     ) -> None:
         """Work on another thread, so that a slow disk does not block the screens; then show the result, or the failure.
 
-        group, exclusive : as of Textual's workers
+        group, exclusive : passed to Textual's worker
         """
 
         def work_and_show() -> None:

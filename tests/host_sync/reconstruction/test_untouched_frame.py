@@ -41,6 +41,16 @@ def test_a_ball_stands_on_flat_skin(ring_calibration: Calibration) -> None:
     assert stated_um > np.abs(found.height.z_um[found.datum.skin]).mean()
 
 
+def test_skin_at_rest_at_several_heights_is_a_doubt_of_the_result(
+    ring_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = lit_by_ring(press_px(*balls()[5]), 3, 501)
+    assert reconstruct(frame, ring_calibration, "ball").warnings == ()
+    monkeypatch.setattr("host_sync.reconstruction.heights.levels_apart_um", lambda *_: 73.2)
+    (doubt,) = reconstruct(frame, ring_calibration, "ball").warnings
+    assert doubt.startswith("untouched skin lies 73 µm apart in height")
+
+
 def test_untouched_skin_is_not_extrapolated_wherever_the_balls_were(ring_calibration: Calibration) -> None:
     inverse_map = ring_calibration.inverse.map
     assert inverse_map.leverage is not None

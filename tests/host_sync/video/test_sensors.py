@@ -47,19 +47,19 @@ def test_a_sensor_that_is_unplugged_is_said_and_found_again() -> None:
     def opened() -> Plugged:
         answer = answers.pop(0)
         if answer is not first:
-            told.append(sensor.problem)
+            problems.append(sensor.problem)
         if isinstance(answer, Exception):
             raise answer
         return answer
 
-    told: list[str | None] = []
+    problems: list[str | None] = []
     sensor = Sensor("X", opened, clock)
     frames = sensor.frames()
     seen = [next(frames) for _ in range(3)]
-    told.append(sensor.problem)
+    problems.append(sensor.problem)
     assert [int(frame.pixels[0, 0, 0]) for frame in seen] == [1, 2, 3]
     assert [(frame.number, frame.taken_ns) for frame in seen] == [(0, 5), (1, 5), (2, 5)]
-    assert told == ["camera X does not answer: plug it in again", "is absent", None]
+    assert problems == ["camera X does not answer: plug it in again", "is absent", None]
     assert clock.monotonic_ns() == 2_000_000_000
     assert first.closed
     frames.close()
