@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.surface import Float32Array, Float64Array, GradientField, HeightMap, MaskArray
-from host_sync.integration.datum import height_of_rest_um, is_relief, skin_at_rest
+from host_sync.integration.datum import SurfaceCells, height_of_rest_um, is_relief, skin_at_rest
 from host_sync.kernels.jit import njit
 
 NO_ZERO: Final = "no zero: heights are relative, because no untouched skin was found"
@@ -60,6 +60,9 @@ On eleven rendered devices the mean was off by 0.1 to 0.3 of the spread. Objects
 slopes, were off by 0.7 to 1.7 of it.
 """
 
+SINKING_SIGMA: Final = 0.5
+"""Standard uncertainty of how much skin sinks yet, as a share: elastomers are thicker than a membrane on springs."""
+
 TRIMMED: Final = 0.2
 """Share of the blocks that is left out at either end of their heights when the zero is taken."""
 
@@ -79,10 +82,11 @@ class Datum:
 
     skin : bool array of shape (H, W), True where heights are zero but for their errors; every valid pixel where no
         skin is untouched
-    zero_um : trimmed mean of the median heights of its blocks, µm
+    zero_um : trimmed mean of the median heights of its blocks, less `sinking_um`, µm
     spread_um : root mean square of its blocks' median heights, µm; of all heights where no skin is untouched
     share : of the field that it makes up; 0 where no skin is untouched
     blocks : how many parts of the field it was compared in
+    sinking_um : by how much the skin still stands above rest, µm; the zero lies so much lower
     """
 
     skin: MaskArray
@@ -90,10 +94,11 @@ class Datum:
     spread_um: float
     share: float
     blocks: int = 1
+    sinking_um: float = 0.0
 
     @property
     def zero_sigma_um(self) -> float:
-        """Standard uncertainty of the zero, µm."""
+        """Standard uncertainty of the zero, µm: of the skin it is taken from, and of how much that sinks yet."""
         return self.zero_sigma_beside_um(0.0)
 
     def zero_sigma_beside_um(self, known_um: float) -> float:
@@ -102,7 +107,8 @@ class Datum:
         known_um : root mean square by which those errors let blocks' heights differ
         """
         share = 1.0 if self.is_relative else ZERO_SIGMA_BY_SPREAD
-        return share * float(np.sqrt(max(self.spread_um**2 - known_um**2, 0.0)))
+        left_um = share * np.sqrt(max(self.spread_um**2 - known_um**2, 0.0))
+        return float(np.hypot(left_um, SINKING_SIGMA * self.sinking_um))
 
     @property
     def is_relative(self) -> bool:
@@ -116,6 +122,13 @@ class Datum:
     def of(self, height: HeightMap) -> Datum:
         """Return the datum of another height map of the same skin."""
         return _no_datum_on(height, self.skin) if self.is_relative else _datum_on(height, self.skin)
+
+    def at_rest(self, height: HeightMap, gradients: GradientField) -> Datum:
+        """Return the datum with its zero where skin of a height map with these slopes will have sunk to rest."""
+        if self.is_relative:
+            return self
+        left_um = height_left_um(height, gradients, self.skin, self.zero_um)
+        return replace(self, zero_um=self.zero_um - left_um, sinking_um=left_um)
 
 
 def find_datum(
@@ -284,3 +297,91 @@ def _own_code() -> Iterator[None]:
         yield
     finally:
         cv2.ipp.setUseIPP(before)
+
+
+# Height of skin that was taken for zero: around an object it sinks towards rest for a long way.
+#
+# Free skin under tension that its elastomer pulls back is bent in proportion to its height: z = L² · div(slope), with
+# one length L for the whole field (a membrane on springs). Where an object reaches far, all skin of a frame is still
+# above rest. A line through its heights and bends gives L², and the height at which skin is not bent: the true zero.
+# The bend is taken as the noisy one of both, so that noise moves no zero.
+
+ACROSS: Final = 160
+"""Cells along the reduced field's columns."""
+
+SMOOTHING: Final = 2.0
+"""Standard deviation, in cells, of the Gaussian that takes noise out of slopes before they are differentiated."""
+
+LOW_FRACTION: Final = 0.25
+"""Skin is free, as far as it hangs together with skin at rest, up to this share of the map's height."""
+
+MIN_SINKING_CELLS: Final = 200
+MIN_CORRELATION: Final = 0.8
+"""Correlation of heights and bends below which bends are not used."""
+
+ROUNDS: Final = 5
+OUTLIER: Final = 2.5
+"""Cells off by so many standard deviations are left out of the next round's line."""
+
+MAX_LEFT: Final = 0.05
+"""Of the map's height, at most, that skin at rest is taken to stand above zero."""
+
+
+def height_left_um(height: HeightMap, gradients: GradientField, resting: MaskArray, zero_um: float) -> float:
+    """Return the height of the zero above skin that is at rest, µm; 0 where free skin does not show it.
+
+    gradients : its slopes, arrays of shape (H, W)
+    resting : bool array of shape (H, W), skin from which the zero was taken
+    zero_um : that zero
+    """
+    rows, columns = gradients.p.shape
+    cell = max(1, round(columns / ACROSS))
+    if min(rows, columns) < 2 * cell:
+        return 0.0
+    cells = SurfaceCells.of(height, gradients, zero_um, resting, cell)
+    # Cells that the field's border cuts are left out.
+    whole, pixels = (slice(rows // cell), slice(columns // cell)), cell * cell
+    z, across, down = (_smooth(part[whole] * np.float32(1.0 / pixels)) for part in (cells.z_px, cells.p, cells.q))
+    bend = np.gradient(across, cell, axis=1) + np.gradient(down, cell, axis=0)
+    top_px = float(np.percentile(z, 99.0))
+    low = (z < LOW_FRACTION * top_px) & (cells.count[whole] == pixels)
+    free = _joined_to(low, cells.skin[whole] > 0.5 * pixels)
+    if int(free.sum()) < MIN_SINKING_CELLS:
+        return 0.0
+    left_px = _unbent_at(z[free].astype(np.float64), bend[free].astype(np.float64))
+    return float(np.clip(-left_px, 0.0, MAX_LEFT * max(top_px, 0.0)) * height.pitch_um)
+
+
+def _unbent_at(z: Float64Array, bend: Float64Array) -> float:
+    """Return the height at which skin is not bent, of heights and bends of shape (N,); 0 where they do not show it."""
+    kept = np.ones(len(z), np.bool_)
+    slope, start = 0.0, 0.0
+    for _ in range(ROUNDS):
+        slope, start = _line(z[kept], bend[kept])
+        off = np.abs(bend - slope * z - start)
+        kept = off < OUTLIER * max(float(np.sqrt((off[kept] ** 2).mean())), 1e-12)
+    if slope <= 0.0 or float(np.corrcoef(z[kept], bend[kept])[0, 1]) < MIN_CORRELATION:
+        return 0.0
+    return float(-start / slope)
+
+
+def _line(z: Float64Array, bend: Float64Array) -> tuple[float, float]:
+    """Return the slope and value at zero of the line of least squares."""
+    mean, bent = float(z.mean()), float(bend.mean())
+    off = z - mean
+    slope = float(off @ (bend - bent)) / max(float(off @ off), 1e-300)
+    return slope, bent - slope * mean
+
+
+def _joined_to(low: MaskArray, resting: MaskArray) -> MaskArray:
+    """Return the parts of low skin, off its edges and the field's, that hold skin at rest."""
+    inner = cv2.erode(low.astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    border = int(2 * SMOOTHING)
+    inner[:border], inner[-border:], inner[:, :border], inner[:, -border:] = 0, 0, 0, 0
+    _, labels = cv2.connectedComponents(inner)
+    numbers = np.unique(labels[resting & (inner > 0)])
+    return np.asarray(np.isin(labels, numbers[numbers > 0]))
+
+
+def _smooth(values: Float32Array) -> Float32Array:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), SMOOTHING), np.float32)

@@ -106,7 +106,7 @@ class Heights:
         first, gradients = reading.first, slopes.over_pixels
         at_rest = None if slopes.prior is None else slopes.prior.at_rest(integrated.z_um.shape)
         found = find_datum(integrated, gradients, at_rest=at_rest) if reading.has_rest else None
-        datum = found or no_datum(integrated, gradients)
+        datum = (found or no_datum(integrated, gradients)).at_rest(integrated, gradients)
         model = first.calibration.skin_at_rest
         gain_sigma = 0.0 if model is None else model.gain_sigma
         unlit = [] if datum.is_relative else check_datum(first.intensity, datum.skin, gain_sigma)

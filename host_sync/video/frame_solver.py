@@ -312,7 +312,7 @@ class FrameSolver:
         if not reading.has_rest:
             return no_datum(height, gradients)
         at_rest = None if reading.prior is None else reading.prior.at_rest(height.z_um.shape)
-        return find_datum(height, gradients, at_rest=at_rest)
+        return find_datum(height, gradients, at_rest=at_rest).at_rest(height, gradients)
 
 
 def _coarse_calibration(calibration: Calibration, cell: int) -> Calibration:
