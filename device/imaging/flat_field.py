@@ -22,6 +22,12 @@ from hal.frame import BayerOrder, RawFrame
 REFERENCE_BLUR_PX: Final = 3.0
 """Standard deviation of the reference's Gaussian blur, which keeps its pixel noise out of every intensity."""
 
+EDGE_VARIANCE: Final = 4.0
+"""Variance of the reference's detail over its median, above which it is an edge and not noise."""
+
+MIN_EDGE_FRACTION: Final = 0.005
+"""Fraction of the field that the gel's edge covers at least; marks and dirt, which move with the skin, cover less."""
+
 DARK_FLOOR: Final = 0.002
 """Fraction of full scale below which the reference is too dark to divide by."""
 
@@ -210,9 +216,24 @@ def check_exposed_sample(sample: Float32Array, clipped_fraction: float, name: st
 
 
 def make_flat_field(reference: LinearFrame) -> Float32Array:
-    """Return the blurred reference: float32 array of shape (H, W, 3), fraction of full scale."""
-    blurred = cv2.GaussianBlur(reference.rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, np.float32).reshape(reference.rgb.shape)
+    """Return the blurred reference: float32 array of shape (H, W, C), fraction of full scale.
+
+    Edges of the gel at the border of the field are not blurred: they stay in place from frame to frame.
+    """
+    rgb = reference.rgb
+    blurred = cv2.GaussianBlur(rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT).reshape(rgb.shape)
+    detail = np.square(rgb / np.maximum(blurred, np.float32(DARK_FLOOR)) - np.float32(1.0)).mean(axis=-1)
+    variance = cv2.GaussianBlur(detail, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
+    edges = _at_border(variance > np.float32(EDGE_VARIANCE) * np.median(variance))
+    return np.asarray(np.where(edges[..., None], rgb, blurred), np.float32)
+
+
+def _at_border(mask: MaskArray) -> MaskArray:
+    """Return the large connected parts of a mask (H, W) that reach the border of the field."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8))
+    large = np.bincount(labels.ravel()) > MIN_EDGE_FRACTION * mask.size
+    reaching = np.unique(np.concatenate([labels[[0, -1]].ravel(), labels[:, [0, -1]].ravel()]))
+    return np.asarray(mask & np.isin(labels, reaching[large[reaching]]), np.bool_)
 
 
 def flat_field_correct(frame: LinearFrame, flat_field: Float32Array) -> NormalizedImage:

@@ -175,7 +175,7 @@ def _check_field(calibration: Calibration) -> None:
     grid = model.pattern.reference.grid if model.pattern.reference else None
     if not (
         max(rows, columns) <= LARGEST_SIDE
-        and float(calibration.flat_field.min()) > 0.0
+        and float(calibration.flat_field.min()) >= 0.0
         and 0.0 < calibration.pitch_um < np.inf
         and set(calibration.held_out_deg) == (set(METHODS) if calibration.paper else {"direct"})
         and (calibration.paper is not None or calibration.preferred == "direct")

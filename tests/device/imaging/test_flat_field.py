@@ -149,3 +149,24 @@ def test_the_stand_in_reference_ignores_what_presses() -> None:
     error = np.abs(flat_field / shade[..., None] - 1.0)
     assert np.median(error) < 0.002
     assert error.max() < 0.06  # at the corners, where a polynomial has least to hold on to
+
+
+def test_the_edge_of_the_gel_stays_sharp_and_noise_and_marks_are_blurred() -> None:
+    random = np.random.default_rng(7)
+    light = np.full((120, 160, 3), 0.4, np.float32)
+    light[:, 140:] = 0.05  # beyond the edge of the gel
+    light[50:54, 60:64] = 0.1  # a mark on the skin
+    noisy = (light * (1.0 + 0.01 * random.standard_normal(light.shape))).astype(np.float32)
+    flat_field = make_flat_field(LinearFrame(noisy, np.zeros(light.shape[:2], np.bool_)))
+    edge = np.s_[:, 136:144]
+    np.testing.assert_array_equal(flat_field[edge], noisy[edge])
+    calm = np.s_[10:40, 10:120]
+    assert (flat_field[calm] / light[calm]).std() < 0.002
+    assert flat_field[51, 61, 0] > 0.2
+
+
+def test_a_field_without_an_edge_is_blurred_everywhere() -> None:
+    random = np.random.default_rng(8)
+    noisy = (0.3 * (1.0 + 0.02 * random.standard_normal((90, 120, 3)))).astype(np.float32)
+    flat_field = make_flat_field(LinearFrame(noisy, np.zeros((90, 120), np.bool_)))
+    assert (flat_field / 0.3).std() < 0.004
