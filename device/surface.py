@@ -171,6 +171,11 @@ BULGE: Final = 0.03
 
 BULGE_ROUNDS: Final = 8
 
+PIT_CELLS: Final = 4
+PIT_FRACTION: Final = 0.3
+"""Depth of a pit beside an object that is doubted, as a fraction of the object's height, and the other way round: what
+hardly rises beside its recesses is an engraved surface."""
+
 
 def rest_height(
     height: HeightMap, resting: MaskArray, calm: MaskArray, slope_sigma: float, weight: Float32Array | None = None
@@ -216,6 +221,18 @@ def levels_apart_um(height: HeightMap, resting: MaskArray, calm: MaskArray, slop
     apart_um = max((float(np.ptp(level)) for level in levels), default=0.0)
     noise_um = max(BULGE * float(means.max()), slope_sigma * _cell_um(height, calm))
     return apart_um if apart_um > noise_um else 0.0
+
+
+def pit_um(height: HeightMap, shape: tuple[int, ...]) -> float:
+    """Return how deep skin beside an object lies below its zero, µm; 0 without a pit several cells wide.
+
+    An object presses skin towards the camera only: either it has a recess, or slopes are wrong.
+
+    shape : numbers of cells over the field, rows and columns
+    """
+    means, known = _mean_heights(height.z_um, (-(-shape[0] // PIT_CELLS), -(-shape[1] // PIT_CELLS)))
+    depth_um, highest_um = (float((sign * means[known]).max(initial=0.0)) for sign in (-1.0, 1.0))
+    return depth_um if PIT_FRACTION * max(depth_um, highest_um) < min(depth_um, highest_um) else 0.0
 
 
 def _cell_um(height: HeightMap, cells: MaskArray) -> float:

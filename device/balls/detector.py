@@ -68,11 +68,15 @@ MAX_SETTING: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class RejectedBall:
-    """A place that looks like a ball and cannot be used for training; position in pixels."""
+    """A place that looks like a ball and cannot be used for training; position in pixels.
+
+    error_deg : of its slopes by the model of the other balls; None where it was not evaluated
+    """
 
     column: float
     row: float
     reason: str
+    error_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from device.balls.detector import RejectedBall
 from device.balls.sphere import BallSamples
 from device.calibration.fit import InverseFit
 from device.errors import CalibrationError
@@ -127,7 +129,7 @@ def _sector(down: int, across: int) -> str:
 SECTORS: Final = tuple(_sector(row, column) for row in range(SIDES) for column in range(SIDES))
 """Names of the nine sectors, row by row."""
 
-SECTOR_PIXELS: Final = 0.25
+SECTOR_BALLS: Final = 0.25
 """A sector is covered by this share of an average ball's pixels."""
 
 TILTED_DEG: Final = 10.0
@@ -141,16 +143,18 @@ class Coverage(msgspec.Struct, frozen=True):
     sectors : by name of the nine sectors of the frame, whether a training ball lies there
     directions : by the direction in which the surface falls, whether tilted pixels show it
     steepest_deg : slopes are covered up to here
+    contradicted : sectors in which the model gets as many balls wrong as trained it
     """
 
     sectors: dict[str, bool]
     directions: dict[str, bool]
     steepest_deg: float
+    contradicted: tuple[str, ...] = ()
 
     @property
     def uncovered(self) -> tuple[str, ...]:
-        """Names of the sectors in which no training ball lies."""
-        return tuple(name for name, covered in self.sectors.items() if not covered)
+        """Names of the sectors in which no training ball lies, or the model is contradicted."""
+        return tuple(name for name, covered in self.sectors.items() if not covered or name in self.contradicted)
 
     def next_place(self) -> tuple[float, float] | None:
         """Return the middle of the first uncovered sector; None when all are covered.
@@ -178,15 +182,24 @@ class Coverage(msgspec.Struct, frozen=True):
         return tuple(advice)
 
 
-def measure_coverage(samples: BallSamples, shape: tuple[int, int], steepest: float) -> Coverage:
+def measure_coverage(
+    samples: BallSamples, shape: tuple[int, int], steepest: float, rejected: Sequence[RejectedBall] = ()
+) -> Coverage:
     """Return the coverage of a frame of `shape` (H, W) by the samples of the training balls.
 
     steepest : largest slope of the training balls
+    rejected : other balls of the same presses
     """
     count = np.bincount(sector_indices(samples.row, samples.column, shape), minlength=SIDES**2)
-    enough = SECTOR_PIXELS * len(samples.p) / (int(samples.ball.max()) + 1)
-    sectors = {name: bool(pixels >= enough) for name, pixels in zip(SECTORS, count, strict=True)}
-    return Coverage(sectors, _directions(samples), float(np.degrees(np.arctan(steepest))))
+    balls = count * (int(samples.ball.max()) + 1) / len(samples.p)
+    places = np.array([(ball.row, ball.column) for ball in rejected if ball.error_deg is not None]).reshape(-1, 2)
+    wrong = np.bincount(sector_indices(places[:, 0], places[:, 1], shape), minlength=SIDES**2)
+    return Coverage(
+        {name: bool(part >= SECTOR_BALLS) for name, part in zip(SECTORS, balls, strict=True)},
+        _directions(samples),
+        float(np.degrees(np.arctan(steepest))),
+        tuple(name for name, part, other in zip(SECTORS, balls, wrong, strict=True) if 0 < part <= other),
+    )
 
 
 def sector_indices(row: RealArray, column: RealArray, shape: tuple[int, int]) -> NDArray[np.intp]:

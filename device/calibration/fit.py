@@ -377,4 +377,5 @@ def dropped_ball(fit: InverseFit, number: int) -> RejectedBall:
     """Return the ball `number` of a fit as a rejected one, with the error by which it stood out."""
     ball = fit.balls[number]
     error_deg = float(fit.ball_error_deg[number])
-    return RejectedBall(ball.column, ball.row, f"does not follow the sphere (held-out error {error_deg:.1f} degrees)")
+    reason = f"does not follow the sphere (held-out error {error_deg:.1f} degrees)"
+    return RejectedBall(ball.column, ball.row, reason, error_deg)

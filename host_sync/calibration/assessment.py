@@ -85,7 +85,8 @@ def assess(
     check_radii(shares, [press.label for press in used for _ in press.balls])
     check_fit(inverse)
     radii_px = np.array([ball.radius_px for press in used for ball in press.balls])
-    coverage = measure_coverage(training, used[0].intensity.shape, inverse.map.max_trained_slope)
+    rejected = [ball for press in used for ball in press.rejected]
+    coverage = measure_coverage(training, used[0].intensity.shape, inverse.map.max_trained_slope, rejected)
     shape = measure_pixel_shape(used, inverse.map)
     return Assessment(
         pitch=pitch,

@@ -13,7 +13,7 @@ import numpy as np
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import CALM, MIN_RESTING, RESTING, RestEvidence
-from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, levels_apart_um, rest_height
+from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, levels_apart_um, pit_um, rest_height
 from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX
@@ -115,9 +115,8 @@ class Heights:
             height = seen_elevation(height, slopes.viewpoint)
             gradients = seen_slopes(slopes.read, slopes.viewpoint, height, out=gradients)
         doubts = [NO_ZERO] if datum.is_relative else []
-        apart_um = 0.0 if slopes.prior is None else slopes.prior.levels_apart_um(integrated)
-        if apart_um > 0.0:
-            doubts.append(f"untouched skin lies {apart_um:.0f} µm apart in height: a flat face, or errors of slopes")
+        if slopes.prior is not None:
+            doubts += slopes.prior.doubts(integrated, None if datum.is_relative else height)
         return cls(height, gradients, datum, unlit, doubts)
 
 
@@ -265,9 +264,16 @@ class RestPrior:
         error = rest_height(height, *self._skin, self.slope_sigma, self.weight)
         parallel_rows(_take_off_rows, height.z_um.shape, height.z_um, error)
 
-    def levels_apart_um(self, height: HeightMap) -> float:
-        """Return how far apart skin at rest lies in levelled heights; see `device.surface.levels_apart_um`."""
-        return levels_apart_um(height, *self._skin, self.slope_sigma)
+    def doubts(self, levelled: HeightMap, height: HeightMap | None) -> list[str]:
+        """Return why levelled heights and those over their zero (None without a zero) may be wrong, a clause each."""
+        found = []
+        apart_um = levels_apart_um(levelled, *self._skin, self.slope_sigma)
+        if apart_um > 0.0:
+            found.append(f"untouched skin lies {apart_um:.0f} µm apart in height: a flat face, or errors of slopes")
+        depth_um = 0.0 if height is None else pit_um(height, self.kept.shape)
+        if depth_um > 0.0:
+            found.append(f"skin lies {depth_um:.0f} µm below untouched skin: a recess, or errors of slopes")
+        return found
 
     @property
     def _skin(self) -> tuple[MaskArray, MaskArray]:

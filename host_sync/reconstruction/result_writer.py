@@ -189,7 +189,7 @@ def calibration_facts(calibration: Calibration) -> dict[str, Any]:
         "calibration_passed": assessment.passed,
         "calibration_notes": tuple(assessment.notes),
         "calibration_failed_checks": tuple(f"{one.name} {one.words}" for one in failed),
-        "uncovered_sectors": tuple(name for name, covered in assessment.coverage.sectors.items() if not covered),
+        "uncovered_sectors": assessment.coverage.uncovered,
     }
 
 

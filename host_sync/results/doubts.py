@@ -128,7 +128,7 @@ def _of_record(record: ResultRecord) -> Iterator[Doubt]:
 
 
 def _uncovered(sectors: tuple[str, ...]) -> Doubt:
-    return Doubt("uncovered sector", f"no ball of the calibration lies in {', '.join(sectors)}", sectors)
+    return Doubt("uncovered sector", f"balls of the calibration do not cover {', '.join(sectors)}", sectors)
 
 
 def _extrapolated(share: float, where: str) -> Doubt:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.inverse_map.skin_at_rest import CALM, RESTING
-from device.surface import HeightMap, enlarged, levels_apart_um, rest_height
+from device.surface import HeightMap, enlarged, levels_apart_um, pit_um, rest_height
 
 SHAPE = (96, 128)
 CELLS = (24, 32)
@@ -67,6 +67,17 @@ def test_skin_at_rest_that_lies_apart_without_a_steep_flank_is_found(between_um:
     assert levels_apart_um(heights, cells < RESTING, cells < CALM, SURE) == pytest.approx(apart_um, abs=0.1)
     flat = HeightMap(1e-4 * COLUMN, PITCH_UM)
     assert levels_apart_um(flat, cells < RESTING, cells < CALM, SURE) == 0.0
+
+
+@pytest.mark.parametrize(("boss_um", "recess_um", "pit"), [(200.0, 100.0, 100.0), (200.0, 20.0, 0.0), (10.0, 100.0, 0.0)])
+def test_a_pit_beside_an_object_is_found_and_an_engraved_surface_is_none(
+    boss_um: float, recess_um: float, pit: float
+) -> None:
+    height = np.zeros(SHAPE, np.float32)
+    height[20:60, 20:60] = boss_um
+    height[40:80, 80:120] = -recess_um
+    height[:4, :4] = np.nan
+    assert pit_um(HeightMap(height, PITCH_UM), CELLS) == pytest.approx(pit)
 
 
 def test_the_largest_part_is_zero() -> None:

@@ -67,6 +67,15 @@ def test_an_empty_corner_and_a_shallow_press_are_what_to_press_next() -> None:
     )
 
 
+def test_a_sector_whose_balls_the_model_gets_wrong_is_not_covered() -> None:
+    cut = RejectedBall(20.0, 15.0, "cut by the frame's border")
+    wrong = RejectedBall(100.0, 75.0, "does not follow the sphere (held-out error 7.0 degrees)", 7.0)
+    coverage = measure_coverage(samples(*everywhere()), SHAPE, 0.75, [cut, wrong])
+    assert coverage.uncovered == ("lower right corner",)
+    twice = [*everywhere(), ball(100.0, 75.0)]
+    assert measure_coverage(samples(*twice), SHAPE, 0.75, [cut, wrong]).uncovered == ()
+
+
 def test_a_slope_direction_that_no_ball_shows_is_named() -> None:
     training = samples(*everywhere())
     seen = training.p > -0.05  # nothing falls to the right

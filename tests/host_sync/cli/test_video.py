@@ -72,7 +72,7 @@ def test_a_folder_of_raw_frames_under_a_librarys_calibration(
     assert main([*arguments, "--out", str(out), "--rate-hz", "10"]) == 1
     printed = capsys.readouterr()
     doubt, said = printed.out.splitlines()
-    assert doubt == "doubt: uncovered sector: no ball of the calibration lies in middle of the frame"
+    assert doubt == "doubt: uncovered sector: balls of the calibration do not cover middle of the frame"
     assert said.startswith(f"2 of 3 frames into {out}: ")
     assert "heights/s" in printed.out
     assert printed.err.count("\n") == 1

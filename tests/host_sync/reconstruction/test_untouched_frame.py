@@ -41,14 +41,21 @@ def test_a_ball_stands_on_flat_skin(ring_calibration: Calibration) -> None:
     assert stated_um > np.abs(found.height.z_um[found.datum.skin]).mean()
 
 
-def test_skin_at_rest_at_several_heights_is_a_doubt_of_the_result(
-    ring_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("figure", "sentence"),
+    [
+        ("levels_apart_um", "untouched skin lies 73 µm apart in height"),
+        ("pit_um", "skin lies 73 µm below untouched skin"),
+    ],
+)
+def test_skin_at_impossible_heights_is_a_doubt_of_the_result(
+    figure: str, sentence: str, ring_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frame = lit_by_ring(press_px(*balls()[5]), 3, 501)
     assert reconstruct(frame, ring_calibration, "ball").warnings == ()
-    monkeypatch.setattr("host_sync.reconstruction.heights.levels_apart_um", lambda *_: 73.2)
+    monkeypatch.setattr(f"host_sync.reconstruction.heights.{figure}", lambda *_: 73.2)
     (doubt,) = reconstruct(frame, ring_calibration, "ball").warnings
-    assert doubt.startswith("untouched skin lies 73 µm apart in height")
+    assert doubt.startswith(sentence)
 
 
 def test_untouched_skin_is_not_extrapolated_wherever_the_balls_were(ring_calibration: Calibration) -> None:

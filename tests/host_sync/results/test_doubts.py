@@ -51,7 +51,7 @@ FACTS: dict[str, dict[str, Any]] = {
 REASONS = {
     "failed calibration": "steepest slope covered, degrees 21",
     "failed check standard": "does not agree with step 100",
-    "uncovered sector": "no ball of the calibration lies in upper left corner, middle of the frame",
+    "uncovered sector": "balls of the calibration do not cover upper left corner, middle of the frame",
     "extrapolated slopes": "slopes beyond those of the calibration balls",
     "drifted light": DRIFTED["words"],
     "frame unlike calibration": MOVED["words"],
