@@ -30,6 +30,7 @@ from host_sync.calibration.located_presses import check_count
 from host_sync.calibration.pixel_pitch import PixelPitch
 from host_sync.calibration.radii import check_radii, radius_shares, radius_spread
 from host_sync.calibration.scale import ScaleUncertainty, scale_uncertainty
+from host_sync.text import some_of
 
 NOTED_NOISE: Final = 0.02
 """Relative noise of untouched skin from which a calibration states it."""
@@ -37,6 +38,10 @@ NOTED_NOISE: Final = 0.02
 NOTED_CHANGE: Final = 0.01
 NOTED_STRAY: Final = 0.005
 """Change of a light, relative, and light of the surroundings, fraction of full scale, that a person should know of."""
+
+
+NOTED_MOVE: Final = 0.3
+"""Distance of a ball from where it is stated, in radii of its contact, that a person should know of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,8 +161,27 @@ def _notes(presses: Sequence[PressFrame], used: Sequence[UsedPress], pitch: Pixe
         if press.grid and press.label not in read
     ]
     notes += [f"{press.label} {press.error}: it is not used" for press in used if press.error]
+    notes += moved_note(presses, used)
     notes += diameter_note(widest_contact(used))
     return tuple(notes + ([pitch.disagreement] if pitch and pitch.disagreement else []))
+
+
+def moved_note(presses: Sequence[PressFrame], used: Sequence[UsedPress]) -> list[str]:
+    """Return the note on balls that are used far from where they are stated; empty without one."""
+    stated = {press.name: press.balls or () for press in presses}
+    moved = [press.label for press in used if any(_is_far(ball, stated.get(press.name, ())) for ball in press.balls)]
+    if not moved:
+        return []
+    return [
+        f"{some_of(moved)}: a ball is used more than {NOTED_MOVE:g} of its contact's radius from its stated place: "
+        "compare both in the calibration's picture"
+    ]
+
+
+def _is_far(ball: Ball, stated: Sequence[Ball]) -> bool:
+    """Return whether every stated ball, of which there are some, lies far from a ball that is used."""
+    away = [np.hypot(one.column - ball.column, one.row - ball.row) for one in stated]
+    return bool(away) and float(min(away)) > NOTED_MOVE * ball.contact_radius_px
 
 
 # Verdict on a calibration: every number that decides, beside its limit.

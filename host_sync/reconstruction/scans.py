@@ -12,14 +12,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from device.bundles.fingerprint import Fingerprint
 from device.bundles.scan import ScanBundle
 from device.calibration.acceptance import MAX_PITCH_ERROR
 from device.errors import CalibrationMismatch, DeviceError
-from device.imaging.flat_field import LinearFrame
+from device.imaging.flat_field import LinearFrame, make_flat_field
 from device.io.atomic import check_replaceable
 from hal.frame import AS_GRANTED, BayerOrder
-from host_sync.calibration.calibrate import Method
+from host_sync.calibration.calibrate import Calibration, Method
 from host_sync.calibration_file.calibrator import Calibrator
 from host_sync.calibration_file.kept_calibration import KeptCalibration
 from host_sync.calibration_report.report import DPI, REPORT_FILE
@@ -54,6 +56,9 @@ def with_overview(kept: KeptCalibration, reference: LinearFrame | None) -> KeptC
     picture = figure_png(overview_figure(kept.calibration, at_rest, why_not), DPI)
     return replace(kept, report=kept.report | {OVERVIEW_FILE: picture})
 
+
+SAME_REFERENCE: Final = 0.003
+"""Difference of two frames' light, as a fraction of it, up to which they are one reference."""
 
 SAME_PIXEL_SHAPE: Final = 0.01
 
@@ -146,6 +151,14 @@ def _check_pixels(frame_set: FrameSet, kept: KeptCalibration) -> None:
             f"{frame_set.path}: pixel_pitch_um: pixels are {frame_set.pixel_shape:.3g} times as high as wide here, and "
             f"{shape:.3g} times in the calibration: use a calibration of this camera mode"
         )
+
+
+def has_reference_of(calibration: Calibration, frame_set: FrameSet) -> bool:
+    """Return False if a frame set states another reference than that of a calibration."""
+    if frame_set.reference is None:
+        return True
+    stated, own = make_flat_field(read_frame(frame_set.reference)), calibration.flat_field
+    return stated.shape == own.shape and bool(np.median(np.abs(stated - own)) < SAME_REFERENCE * np.median(own))
 
 
 SINGLE_LIGHTS: Final = "shadows seen light by light"

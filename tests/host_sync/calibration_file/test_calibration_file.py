@@ -163,6 +163,19 @@ def test_the_papers_method_wants_a_calibration_that_holds_its_model(
     assert main(asked) == 0
 
 
+def test_a_reference_that_is_not_the_calibrations_is_not_used_in_silence(
+    file: Path, frame_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(frame_set.parent, tmp_path / "set")
+    command = ["reconstruct", str(folder / "frameset.toml"), "--calibration", str(file), "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    assert "[reference]" not in capsys.readouterr().err
+    flat = cv2.imread(str(folder / "flat.png"), cv2.IMREAD_UNCHANGED)
+    assert cv2.imwrite(str(folder / "flat.png"), (0.97 * flat).astype(flat.dtype))
+    assert main(command) == 0
+    assert "[reference] differs from the calibration's, which is used instead" in capsys.readouterr().err
+
+
 def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(
     file: Path, frame_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

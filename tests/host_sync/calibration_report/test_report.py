@@ -11,7 +11,7 @@ from device.balls.detector import BallSearch, RejectedBall
 from device.balls.sphere import Ball, BallSamples, gather_samples
 from device.calibration.acceptance import measure_coverage
 from device.imaging.flat_field import LinearFrame, NormalizedImage
-from host_sync.calibration.assessment import checks
+from host_sync.calibration.assessment import checks, moved_note
 from host_sync.calibration.balls import (
     MAX_WIDENING,
     GridSpacing,
@@ -89,6 +89,15 @@ def test_a_slope_direction_that_no_ball_shows_is_named() -> None:
 def frame_of(radius_tolerance: float | None = None) -> PressFrame:
     dark = LinearFrame(np.zeros((*SHAPE, 3), np.float32), np.zeros(SHAPE, np.bool_))
     return PressFrame("press-00", dark, RADIUS_PX, grid=GridSpacing(1.0), radius_tolerance=radius_tolerance)
+
+
+@pytest.mark.parametrize(("away_px", "is_noted"), [(1.0, False), (4.0, True)])
+def test_a_ball_that_is_used_far_from_its_stated_place_is_named(away_px: float, is_noted: bool) -> None:
+    stated = replace(frame_of(), balls=(ball(40.0, 40.0), ball(80.0, 60.0)))
+    used = press(0, ball(40.0, 40.0), ball(80.0, 60.0 + away_px))
+    notes = moved_note([stated], [used])
+    assert [note.startswith("press-00: a ball is used more than 0.3") for note in notes] == [True] * is_noted
+    assert moved_note([frame_of()], [used]) == []  # found, not stated
 
 
 def test_a_scale_that_nothing_measures_has_no_uncertainty_rather_than_none() -> None:
