@@ -13,7 +13,16 @@ import numpy as np
 from device.balls.sphere import Viewpoint
 from device.imaging.flat_field import LinearFrame
 from device.inverse_map.skin_at_rest import CALM, MIN_RESTING, RESTING, RestEvidence
-from device.surface import Float32Array, GradientField, HeightMap, MaskArray, enlarged, levels_apart_um, pit_um, rest_height
+from device.surface import (
+    Float32Array,
+    GradientField,
+    HeightMap,
+    MaskArray,
+    enlarged,
+    levels_apart_um,
+    pit_um,
+    rest_height,
+)
 from hal.frame import RawFrame
 from host_sync.denoising.slope_noise import BLUR_PX, without_blur
 from host_sync.denoising.wavelet_shrinkage import SPLIT_PX

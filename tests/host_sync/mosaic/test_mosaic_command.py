@@ -106,7 +106,11 @@ def test_doubts_of_presses_are_doubts_of_the_mosaic(
     (part / RECORD_FILE).write_bytes(encode_record(doubted))
     assert main(["mosaic", str(copied), "--out", str(tmp_path / "whole")]) == 0
     shown = capsys.readouterr().out
-    for words in ("checks: too few balls", "balls of the calibration do not cover left edge (part-1)", "lights drifted"):
+    for words in (
+        "checks: too few balls",
+        "balls of the calibration do not cover left edge (part-1)",
+        "lights drifted",
+    ):
         assert words in shown
     assert read_record(tmp_path / "whole").calibration_failed_checks == ("too few balls",)
 
