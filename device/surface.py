@@ -223,16 +223,20 @@ def levels_apart_um(height: HeightMap, resting: MaskArray, calm: MaskArray, slop
     return apart_um if apart_um > noise_um else 0.0
 
 
-def pit_um(height: HeightMap, shape: tuple[int, ...]) -> float:
+def pit_um(height: HeightMap, shape: tuple[int, int], slope_sigma: float) -> float:
     """Return how deep skin beside an object lies below its zero, µm; 0 without a pit several cells wide.
 
     An object presses skin towards the camera only: either it has a recess, or slopes are wrong.
 
     shape : numbers of cells over the field, rows and columns
+    slope_sigma : standard uncertainty of slopes, of which a shallower pit may be noise
     """
-    means, known = _mean_heights(height.z_um, (-(-shape[0] // PIT_CELLS), -(-shape[1] // PIT_CELLS)))
+    rows, columns = (-(-cells // PIT_CELLS) for cells in shape)
+    means, known = _mean_heights(height.z_um, (rows, columns))
     depth_um, highest_um = (float((sign * means[known]).max(initial=0.0)) for sign in (-1.0, 1.0))
-    return depth_um if PIT_FRACTION * max(depth_um, highest_um) < min(depth_um, highest_um) else 0.0
+    shallowest_um = slope_sigma * height.pitch_um * height.z_um.shape[1] / columns
+    alike = PIT_FRACTION * max(depth_um, highest_um) < min(depth_um, highest_um)
+    return depth_um if alike and depth_um > shallowest_um else 0.0
 
 
 def _cell_um(height: HeightMap, cells: MaskArray) -> float:

@@ -279,7 +279,7 @@ class RestPrior:
         apart_um = levels_apart_um(levelled, *self._skin, self.slope_sigma)
         if apart_um > 0.0:
             found.append(f"untouched skin lies {apart_um:.0f} µm apart in height: a flat face, or errors of slopes")
-        depth_um = 0.0 if height is None else pit_um(height, self.kept.shape)
+        depth_um = 0.0 if height is None else pit_um(height, self.lit.shape, self.slope_sigma)
         if depth_um > 0.0:
             found.append(f"skin lies {depth_um:.0f} µm below untouched skin: a recess, or errors of slopes")
         return found

@@ -79,7 +79,12 @@ def test_a_pit_beside_an_object_is_found_and_an_engraved_surface_is_none(
     height[20:60, 20:60] = boss_um
     height[40:80, 80:120] = -recess_um
     height[:4, :4] = np.nan
-    assert pit_um(HeightMap(height, PITCH_UM), CELLS) == pytest.approx(pit)
+    assert pit_um(HeightMap(height, PITCH_UM), CELLS, SURE) == pytest.approx(pit)
+
+
+def test_unevenness_of_untouched_skin_is_no_pit() -> None:
+    uneven = HeightMap(np.asarray(0.02 * np.sin(COLUMN / 9.0), np.float32), PITCH_UM)
+    assert pit_um(uneven, CELLS, SURE) == 0.0
 
 
 def test_the_largest_part_is_zero() -> None:
