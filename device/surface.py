@@ -192,7 +192,7 @@ def rest_height(
     slope_sigma : standard uncertainty of slopes; gentle skin connects cells at rest, too
     weight : float32 array of shape (h, w), information of slopes; None where it is not known
     """
-    means, known = _mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
+    means, known = mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
     resting = known & resting
     if not resting.any():
         return np.zeros_like(means)
@@ -214,7 +214,7 @@ def levels_apart_um(height: HeightMap, resting: MaskArray, calm: MaskArray, slop
 
     Either an object rises gently to a flat face, or slopes are wrong. Arguments are those of `rest_height`.
     """
-    means, known = _mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
+    means, known = mean_heights(height.z_um, (calm.shape[0], calm.shape[1]))
     resting = known & resting
     labels = _connected(means, known, calm, _cell_um(height, calm), np.inf)
     levels = [means[resting & (labels == part)] for part in np.unique(labels[resting])]
@@ -232,7 +232,7 @@ def pit_um(height: HeightMap, shape: tuple[int, int], slope_sigma: float) -> flo
     slope_sigma : standard uncertainty of slopes, of which a shallower pit may be noise
     """
     rows, columns = (-(-cells // PIT_CELLS) for cells in shape)
-    means, known = _mean_heights(height.z_um, (rows, columns))
+    means, known = mean_heights(height.z_um, (rows, columns))
     depth_um, highest_um = (float((sign * means[known]).max(initial=0.0)) for sign in (-1.0, 1.0))
     shallowest_um = slope_sigma * height.pitch_um * height.z_um.shape[1] / columns
     alike = PIT_FRACTION * max(depth_um, highest_um) < min(depth_um, highest_um)
@@ -316,7 +316,7 @@ def enlarged(cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
     return np.asarray(cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _mean_heights(height: Float32Array, shape: tuple[int, int]) -> tuple[Float32Array, MaskArray]:
+def mean_heights(height: Float32Array, shape: tuple[int, int]) -> tuple[Float32Array, MaskArray]:
     """Return mean heights of cells, arrays of `shape` (h, w), and whether they are known for the most part."""
     means = np.asarray(cv2.resize(height, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
     if np.isfinite(means).all():

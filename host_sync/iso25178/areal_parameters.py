@@ -232,7 +232,7 @@ def texture_direction_deg(correlation: Float32Array) -> float:
     """
     middle, width = correlation.shape[0] // 2, correlation.shape[1] - 1
     reach = min(middle, width)
-    if reach < 4:
+    if reach < 4 or not np.isfinite(correlation[middle, 0]):
         return float("nan")
     half = np.nan_to_num(correlation[middle - reach : middle + reach + 1, : reach + 1])
     whole = np.concatenate([half[::-1, :0:-1], half], axis=1)

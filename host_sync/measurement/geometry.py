@@ -52,8 +52,8 @@ class Region:
 def between_places(z_um: Float32Array, places: SkinPlaces, start: Float64Array, end: Float64Array) -> dict[str, float]:
     """Return lateral distance, height difference, distance in space (µm) and slope angle (°) of two places.
 
-    start, end : (column, row) on the grid of pixels, µm; their heights are means of the valid pixels within one
-        and a half pixels
+    start, end : (column, row) on the grid of pixels, µm; their heights are those of the plane through the valid
+        pixels within one and a half pixels
 
     Raises
     ------
@@ -154,10 +154,16 @@ def _height_at(z_um: Float32Array, pitch_um: float, place: Float64Array) -> floa
     column, row = (int(value) for value in np.rint(place / pitch_um))
     if not (0 <= row < z_um.shape[0] and 0 <= column < z_um.shape[1]):
         raise MeasurementError(f"the place ({place[0]:g}, {place[1]:g}) µm is outside the field: move it inside")
-    near = z_um[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    top, left = max(row - 1, 0), max(column - 1, 0)
+    near = z_um[top : row + 2, left : column + 2]
     if not np.isfinite(near).any():
         raise MeasurementError(f"the place ({place[0]:g}, {place[1]:g}) µm is masked: choose another")
-    return float(np.nanmean(near))
+    down, across = (np.arange(size) + first for size, first in zip(near.shape, (top, left), strict=True))
+    away = np.meshgrid(across * pitch_um - place[0], down * pitch_um - place[1])
+    try:
+        return _plane(away[0], away[1], near)[2]
+    except MeasurementError:  # the valid neighbours lie on a line
+        return float(np.nanmean(near))
 
 
 # Places on the skin of the pixels of a height map.

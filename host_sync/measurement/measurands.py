@@ -328,6 +328,8 @@ class VolumeMeasurand(Measurand):
         self._border_px = max(round(table.border_um / height.pitch_um), 1)
         self.masked_share = _masked(height, self._region)
         self.places_px = region_places([self._region], height.pitch_um)
+        if 2 * self._border_px >= min(self._region.cut(height.z_um, height.pitch_um).shape):
+            raise MeasurementError(f"border_um: {table.border_um:g} µm leaves nothing inside the region: narrow it")
         self.values(height.z_um)  # what cannot be measured is refused now
 
     def kinds(self) -> Mapping[str, ParameterKind]:

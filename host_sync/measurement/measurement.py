@@ -22,6 +22,9 @@ from host_sync.results.record import Doubt, ResultRecord
 COPY: Final = "copy"
 """Warning that a number is that of a frame which was measured before."""
 
+STEPPED: Final = "Std"
+"""A direction comes in steps of half a degree: different presses may agree."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredProfile:
@@ -103,10 +106,17 @@ class Measurement:
 def copies_among(measurements: Sequence[Measurement]) -> dict[int, Measurement]:
     """Return which measurements copy an earlier one, by their places: all numbers agree, so they are of one frame.
 
-    No two presses have the same noise.
+    No two presses have the same noise; what is not known, or comes in steps, is no number here.
     """
     first: dict[object, Measurement] = {}
-    numbers = [tuple((part.subject, part.name, part.value) for part in one.quantities) for one in measurements]
+    numbers = [
+        tuple(
+            (part.subject, part.name, part.value)
+            for part in one.quantities
+            if part.name != STEPPED and part.value is not None and np.isfinite(part.value)
+        )
+        for one in measurements
+    ]
     earlier = [first.setdefault(key or place, measurements[place]) for place, key in enumerate(numbers)]
     return {place: one for place, one in enumerate(earlier) if one is not measurements[place]}
 

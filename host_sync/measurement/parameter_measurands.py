@@ -44,6 +44,15 @@ from host_sync.profile.profile_line import Line, Profile, profile_along, profile
 _DEGREES: Final = {"mean": 0, "plane": 1}
 
 
+def _check_l_filter(l_filter_um: float | None, pitch_um: float) -> None:
+    """Refuse an L-filter that removes everything."""
+    if l_filter_um is not None and l_filter_um < MIN_CUTOFF_PX * pitch_um:
+        raise MeasurementError(
+            f"l_filter_um: {l_filter_um:g} µm holds fewer than {MIN_CUTOFF_PX:g} pixels of {pitch_um:g} µm: "
+            "choose a longer one"
+        )
+
+
 class Preparation:
     """Form removal and filters of a recipe, for one height map.
 
@@ -56,7 +65,7 @@ class Preparation:
     Raises
     ------
     MeasurementError
-        No pixel is valid, or the form is not determined.
+        No pixel is valid, the form is not determined, or the L-filter is too short.
     """
 
     def __init__(self, height: HeightMap, recipe: Recipe, places: SkinPlaces) -> None:
@@ -65,6 +74,7 @@ class Preparation:
             raise MeasurementError(
                 "every pixel of the region is masked or beyond the calibration: choose another, or keep_extrapolated"
             )
+        _check_l_filter(recipe.l_filter_um, height.pitch_um)
         self._form = _form(recipe.form, height, places)
         formless = height.z_um if self._form is None else self._form.remove(height.z_um)
         self.valid = np.isfinite(formless)
@@ -303,11 +313,7 @@ class ProfileMeasurand(Measurand):
     """
 
     def __init__(self, table: ProfileTable, height: HeightMap) -> None:
-        if table.l_filter_um is not None and table.l_filter_um < MIN_CUTOFF_PX * height.pitch_um:
-            raise MeasurementError(
-                f"l_filter_um: {table.l_filter_um:g} µm holds fewer than {MIN_CUTOFF_PX:g} pixels of "
-                f"{height.pitch_um:g} µm: choose a longer one"
-            )
+        _check_l_filter(table.l_filter_um, height.pitch_um)
         self.name = table.name
         self._table = table
         self._pitch_um = height.pitch_um

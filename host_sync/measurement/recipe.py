@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
+import numpy as np
 
 from hal.validation import decode_toml, split_validation
 from host_sync.errors import MeasurementError
@@ -192,7 +193,8 @@ def from_options(recipe: Recipe, given: Mapping[str, object]) -> Recipe:
         Names the key, what is wrong with it and what is accepted.
     """
     try:
-        return msgspec.convert(msgspec.to_builtins(recipe) | dict(given), Recipe)
+        plain = msgspec.to_builtins(dict(given), enc_hook=lambda value: np.asarray(value).tolist())
+        return msgspec.convert(msgspec.to_builtins(recipe) | plain, Recipe)
     except msgspec.ValidationError as error:
         raise MeasurementError(f"options: {_explained(error)}") from error
 

@@ -59,7 +59,8 @@ class Profile:
 def profile_along(z_um: Float32Array, pitch_um: float, line: Line) -> Profile:
     """Return the profile along a line: bilinear, one sample per pixel, NaN where one of the four neighbours is invalid.
 
-    Across the line the valid samples are averaged; the profile is invalid where fewer than half of them are valid.
+    Across the line the valid samples are averaged, on the line itself; the profile is invalid where fewer than half of
+    them are valid.
 
     Raises
     ------
@@ -88,8 +89,22 @@ def profile_along(z_um: Float32Array, pitch_um: float, line: Line) -> Profile:
     places = start + np.arange(steps + 1)[:, None, None] * along + offsets[:, None] * across
     values, seen = bilinear(z_um, places, limit)
     count = seen.sum(axis=-1)
-    mean = np.where(seen, values, 0.0).sum(axis=-1) / np.maximum(count, 1)
-    return Profile(np.where(2 * count >= offsets.size, mean, np.nan), pitch_um)
+    return Profile(np.where(2 * count >= offsets.size, _means_on_line(values, seen, offsets), np.nan), pitch_um)
+
+
+def _means_on_line(values: Float64Array, seen: MaskArray, offsets: Float64Array) -> Float64Array:
+    """Return mean heights across a line, float64 array of shape (N,).
+
+    Where only a part is seen, its mean is moved to the line by the slope across, which is one for the whole line.
+
+    values, seen : arrays of shape (N, M)
+    offsets : from the line, their mean is zero: float64 array of shape (M,)
+    """
+    count = np.maximum(seen.sum(axis=-1), 1)
+    mean, middle = (np.where(seen, part, 0.0).sum(axis=-1) / count for part in (values, offsets))
+    rise, away = (np.where(seen, part - own[:, None], 0.0) for part, own in ((values, mean), (offsets, middle)))
+    slope = (rise * away).sum() / max(float((away * away).sum()), 1e-12)
+    return np.asarray(mean - slope * middle, np.float64)
 
 
 def bilinear(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.align import Pose
-from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray, mean_heights
 from host_sync.errors import ViewError
 from host_sync.kernels.jit import njit
 
@@ -68,12 +68,15 @@ def centred(shape: tuple[int, ...], full: tuple[int, ...], step: int) -> tuple[F
 
 
 def reduced(z_um: Float32Array, step: int) -> Float32Array:
-    """Return means over squares of `step` pixels; rows and columns beyond the last whole square are dropped."""
+    """Return means of valid pixels over squares of `step`; rows and columns beyond the last whole square are dropped.
+
+    NaN where half of a square or more is invalid.
+    """
     if step == 1:
         return z_um
     rows, columns = (size // step for size in z_um.shape)
-    part = z_um[: rows * step, : columns * step]
-    return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
+    means, known = mean_heights(z_um[: rows * step, : columns * step], (rows, columns))
+    return np.asarray(np.where(known, means, np.float32(np.nan)), np.float32)
 
 
 def between_pixels(z_um: Float32Array, row: Float32Array, column: Float32Array) -> Float32Array:

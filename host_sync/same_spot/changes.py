@@ -25,8 +25,9 @@ from typing import Final
 import cv2
 import msgspec
 import numpy as np
+from scipy.optimize import least_squares
 
-from device.surface import Float32Array, HeightMap, MaskArray
+from device.surface import Float32Array, Float64Array, HeightMap, MaskArray
 from host_sync.registration.difference import Difference
 
 POWER: Final = 1.5
@@ -126,6 +127,9 @@ WIDTHS_PX: Final = (1.5, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
 """Radius around a change in which a Gaussian is fitted to it, at most, and in units of the band that shows it best; and
 the widths that are tried."""
 
+WIDER: Final = 1.35
+"""The largest of these widths over its smaller neighbour: so far the width that fits best may lie from one of them."""
+
 TO_SIGMA: Final = 1.4826
 
 
@@ -217,7 +221,7 @@ def changes(first: HeightMap, found: Difference, untouched: MaskArray | None = N
         place = tuple(int(at) for at in np.unravel_index(int(np.argmax(open_)), open_.shape))
         if open_[place] < LIMIT:
             break
-        change, region = _change(bands, best, rest, (place[0], place[1]), first.pitch_um * step)
+        change, region = _change(bands, best, rest, (place[0], place[1]), first.pitch_um, step)
         listed.append(change)
         taken |= region
     judged = float(np.isfinite(bands[0].score).mean())
@@ -289,11 +293,11 @@ def _band(z_um: Float32Array, rest: Float32Array, sigma_um: Float32Array, scale_
 
 
 def _change(
-    bands: list[_Band], best: _Band, rest: Float32Array, place: tuple[int, int], pitch_um: float
+    bands: list[_Band], best: _Band, rest: Float32Array, place: tuple[int, int], pitch_um: float, step: int
 ) -> tuple[Change, MaskArray]:
     """Return the change at the peak of a band, and the pixels that it takes.
 
-    It is fitted as a round change of Gaussian profile on a plane.
+    It is fitted as a round change of Gaussian profile on a plane; a width on the grid begins the search.
     """
     row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
     down, right = np.broadcast_arrays(row - place[0], column - place[1])
@@ -310,17 +314,42 @@ def _change(
         # What surrounds a narrow change may be fitted better by a wide one of the other sign.
         if left < least and solved[0] * seen_um > 0.0:
             least, width_px, height_um = left, width, float(solved[0])
+    place_px = np.array([down[inside], right[inside]])
+    width_px, height_um, off_px = _refined(target, place_px, width_px, height_um)
     # Its uncertainty is that of the band which shows such a width best.
     judged = [band for band in bands if np.isfinite(band.spread[place])]
     fitting = min(judged, key=lambda band: abs(np.log(band.scale_px / width_px)))
-    cell_mm2 = (pitch_um * 1e-3) ** 2
+    cell_um = pitch_um * step
+    row_um, column_um = ((at + off + 0.5) * cell_um - 0.5 * pitch_um for at, off in zip(place, off_px, strict=True))
     change = Change(
-        row_um=place[0] * pitch_um,
-        column_um=place[1] * pitch_um,
+        row_um=row_um,
+        column_um=column_um,
         height_um=height_um,
         sigma_um=FIT_SIGMAS * float(fitting.spread[place]),
-        diameter_um=WIDTH_TO_DIAMETER * width_px * pitch_um,
-        volume_um_mm2=2.0 * float(np.pi) * width_px**2 * height_um * cell_mm2,
+        diameter_um=WIDTH_TO_DIAMETER * width_px * cell_um,
+        volume_um_mm2=2.0 * float(np.pi) * width_px**2 * height_um * (cell_um * 1e-3) ** 2,
         score=abs(float(best.score[place])),
     )
     return change, np.asarray(away <= max(4.0 * best.scale_px, 5.0 * width_px))
+
+
+def _refined(
+    target: Float64Array, place_px: Float64Array, width_px: float, height_um: float
+) -> tuple[float, float, tuple[float, float]]:
+    """Return the width, height and middle (down, right; px) of the round change on a plane that fits heights best.
+
+    target : float64 array of shape (N,), µm
+    place_px : float64 array of shape (2, N), down and right of where the search begins
+    width_px, height_um : with which it begins
+    """
+
+    def left(guess: Float64Array) -> Float64Array:
+        width, height, down, right, level, steep, tilted = guess
+        away = np.hypot(place_px[0] - down, place_px[1] - right)
+        plane = level + steep * place_px[0] + tilted * place_px[1]
+        return np.asarray(height * np.exp(-0.5 * (away / width) ** 2) + plane - target, np.float64)
+
+    begin = np.array([width_px, height_um, 0.0, 0.0, 0.0, 0.0, 0.0])
+    reach = np.array([width_px * (1.0 - 1.0 / WIDER), np.inf, width_px, width_px, np.inf, np.inf, np.inf])
+    width, height, down, right, *_ = least_squares(left, begin, bounds=(begin - reach, begin + reach)).x.tolist()
+    return width, height, (down, right)

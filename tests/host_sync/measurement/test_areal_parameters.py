@@ -146,3 +146,7 @@ def test_the_spectrum_adds_up_to_the_mean_square_and_peaks_at_the_period(share: 
     assert peak == pytest.approx(1.0 / (25.0 * PITCH_UM), rel=0.13)
     power = np.sum(found.density_um3 * found.width_per_um)
     assert power == pytest.approx(np.nanvar(z_um), rel=0.06)
+
+
+def test_a_surface_without_relief_has_no_direction() -> None:
+    assert np.isnan(texture_direction_deg(np.full((41, 21), np.nan, np.float32)))

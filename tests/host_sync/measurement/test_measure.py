@@ -15,9 +15,18 @@ from device.surface import HeightMap
 from host_sync.errors import MeasurementError
 from host_sync.measurement.height_samples import FineNoise, HeightSamples, StatedScale
 from host_sync.measurement.measure import measure, measure_result
-from host_sync.measurement.measurement import Measurement
+from host_sync.measurement.measurement import Measurement, copies_among
 from host_sync.measurement.quantity import Quantity, uncertainty_of, uncertainty_of_uncertainty
-from host_sync.measurement.recipe import AngleTable, DistanceTable, ProfileTable, RadiusTable, Recipe, StepTable
+from host_sync.measurement.recipe import (
+    AngleTable,
+    DistanceTable,
+    ProfileTable,
+    RadiusTable,
+    Recipe,
+    StepTable,
+    VolumeTable,
+    from_options,
+)
 from host_sync.results.reader import read_result
 
 Write = Callable[..., Path]
@@ -299,3 +308,32 @@ def test_a_region_that_reaches_beyond_the_field_says_that_its_part_inside_is_mea
         table = RadiusTable(name="ball", region_um=region)
         found = measure_result(folder, Recipe(region_um=region, parameters=("Sa",), radius=(table,)))
         assert any("beyond the field" in word for word in number(found, "Sa").warnings) == is_said
+
+
+def test_presses_that_do_not_show_a_step_are_no_copies_and_one_press_twice_is_one(
+    write_result: Write, wave: np.ndarray
+) -> None:
+    alike = [measure_result(write_result(wave, f"press {at}", seed=at), Recipe(parameters=("Std",))) for at in (1, 2)]
+    assert copies_among(alike) == {}
+    unknown = [
+        replace(one, quantities=tuple(msgspec.structs.replace(q, value=None) for q in one.quantities)) for one in alike
+    ]
+    assert copies_among(unknown) == {}
+    twice = [measure_result(write_result(wave), Recipe(parameters=("Sa",))) for _ in range(2)]
+    assert copies_among(twice) == {1: twice[0]}
+
+
+def test_filters_and_borders_that_would_leave_nothing_are_refused(write_result: Write, wave: np.ndarray) -> None:
+    with pytest.raises(MeasurementError, match="µm holds fewer than"):
+        measure_result(write_result(wave), Recipe(l_filter_um=0.8))
+    pits = [VolumeTable("pit", (100.0, 100.0, 400.0, 400.0), border_um=border_um) for border_um in (140.0, 160.0)]
+    narrow, wide = (measure_result(write_result(wave), Recipe(volume=(pit,))) for pit in pits)
+    assert narrow.failed == ()
+    assert wide.failed == ("pit",)
+    (refused,) = [part for part in wide.quantities if part.subject == "pit"]
+    assert "border_um: 160 µm leaves nothing inside the region: narrow it" in refused.warnings[0]
+
+
+def test_numbers_of_numpy_are_options() -> None:
+    made = from_options(Recipe(), {"l_filter_um": np.float64(80.0), "coverage_factor": np.int64(2)})
+    assert (made.l_filter_um, made.coverage_factor) == (80.0, 2)

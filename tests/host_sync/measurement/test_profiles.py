@@ -31,6 +31,15 @@ def test_holes_stay_holes_and_a_wide_line_bridges_small_ones() -> None:
     assert np.isfinite(wide.z_um).all()
 
 
+def test_a_wide_line_stays_on_the_line_where_one_side_of_it_is_masked() -> None:
+    row, column = np.mgrid[:80, :200]
+    z_um = (0.1 * row * PITCH_UM + 30.0 * (column >= 100)).astype(np.float32)
+    z_um[41:, 60:140] = np.nan
+    profile = profile_along(z_um, PITCH_UM, Line((40.0, 160.0), (760.0, 160.0), 120.0))
+    truth = 16.0 + 30.0 * (np.arange(10, 191) >= 100)
+    np.testing.assert_allclose(profile.z_um, truth, atol=1e-3)
+
+
 @pytest.mark.parametrize("end", [(4000.0, 10.0), (-30.0, 5.0)])
 def test_a_line_that_leaves_the_field_is_refused(end: tuple[float, float]) -> None:
     with pytest.raises(MeasurementError, match="outside the field"):
@@ -114,6 +123,16 @@ def test_distances_and_angles_of_a_roof() -> None:
     left, right = (Region(a, 40.0, b, 300.0).cut(z_um, PITCH_UM) for a, b in ((20.0, 380.0), (420.0, 780.0)))
     angle_deg = between_planes_deg(left, right, (SkinPlaces(PITCH_UM), SkinPlaces(PITCH_UM)))
     assert angle_deg == pytest.approx(2.0 * np.degrees(np.arctan(0.5)), abs=0.01)
+
+
+@pytest.mark.parametrize("masked", [0, 2])
+def test_heights_of_a_distance_are_those_of_its_very_ends(masked: int) -> None:
+    column = np.arange(60) * np.ones((40, 1))
+    z_um = (column * PITCH_UM).astype(np.float32)  # 45 degrees
+    z_um[:, 5 : 5 + masked] = np.nan
+    for start, end in ((0.0, 100.0), (17.5, 71.8), (33.0, 80.0)):
+        found = between_places(z_um, SkinPlaces(PITCH_UM), np.array([start, 80.0]), np.array([end, 80.0]))
+        assert found["in height"] == pytest.approx(end - start, abs=1e-3)
 
 
 def test_a_face_that_is_not_flat_leans_apart_from_half_to_half() -> None:

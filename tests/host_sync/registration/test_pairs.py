@@ -11,7 +11,7 @@ from press_pairs import OBJECTS, PressPair, Prism, depth_pairs, hand_pairs
 
 from device.align import Pose
 from hal.simulator.surfaces import Block, Groove
-from host_sync.registration.fit import Pair, middle_px
+from host_sync.registration.fit import Pair, middle_px, reduced
 from host_sync.registration.register import COARSE_PX, Registration, register
 
 ENOUGH_PX = 0.5
@@ -111,3 +111,14 @@ def test_a_person_may_nudge_and_pin() -> None:
     assert pinned.by == "pinned"
     sliding = register(pairs["prism"].first, pairs["prism"].second, near=pairs["prism"].truth, pinned=True)
     assert sliding.accepted
+
+
+def test_squares_with_single_invalid_pixels_have_a_height() -> None:
+    z_um = np.tile(np.float32(3.0), (9, 8))
+    z_um[0, 0] = np.nan
+    z_um[4:6, 4:6] = np.nan
+    means = reduced(z_um, 2)
+    assert means.shape == (4, 4)
+    assert np.isnan(means[2, 2])
+    assert np.isnan(means).sum() == 1
+    assert means[0, 0] == pytest.approx(3.0)

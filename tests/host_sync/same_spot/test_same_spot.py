@@ -50,8 +50,9 @@ def test_a_dent_is_found_where_it_is_with_its_height() -> None:
     found = changes(first, difference(first, second))
     assert len(found.found) == 1
     dent = found.found[0]
-    assert np.hypot(dent.row_um / PITCH_UM - DENT[0], dent.column_um / PITCH_UM - DENT[1]) < 2.0
-    assert -15.0 < dent.height_um < -9.0
+    assert np.hypot(dent.row_um / PITCH_UM - DENT[0], dent.column_um / PITCH_UM - DENT[1]) < 0.5
+    assert dent.height_um == pytest.approx(-12.0, abs=2.0 * dent.sigma_um)
+    assert dent.diameter_um == pytest.approx(5.0 * WIDTH_TO_DIAMETER * PITCH_UM, rel=0.1)
 
 
 def test_nothing_is_found_where_nothing_changed_and_the_limit_is_stated() -> None:
