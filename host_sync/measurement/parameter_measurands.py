@@ -82,7 +82,7 @@ class Preparation:
             None if index_um is None else GaussianRegression(self.valid, index_um / height.pitch_um)
             for index_um in (recipe.s_filter_um, recipe.l_filter_um)
         )
-        self._l_px = None if recipe.l_filter_um is None else recipe.l_filter_um / height.pitch_um
+        self._longest_px = max(recipe.s_filter_um or 0.0, recipe.l_filter_um or 0.0) / height.pitch_um
 
     def apply(self, z_um: Float32Array) -> Float32Array:
         """Return the scale-limited surface: float32 array of shape (H, W), µm, NaN where invalid."""
@@ -95,15 +95,15 @@ class Preparation:
         return z_um
 
     def edge_fraction(self) -> float:
-        """Return the fraction of valid pixels near a border or hole; 0 without L-filter.
+        """Return the fraction of valid pixels near a border or hole; 0 without filter.
 
-        They lie within half the L-filter's nesting index of it.
+        They lie within half the longest filter's nesting index of it.
         """
-        if self._l_px is None:
+        if self._longest_px == 0.0:
             return 0.0
         framed = np.pad(self.valid.astype(np.uint8), 1)
         distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_5)[1:-1, 1:-1]
-        return float((distance[self.valid] < 0.5 * self._l_px).mean())
+        return float((distance[self.valid] < 0.5 * self._longest_px).mean())
 
 
 def _form(name: str, height: HeightMap, places: SkinPlaces) -> FormRemoval | None:
@@ -119,6 +119,9 @@ EDGE_FRACTION: Final = 0.25
 MASKED_FRACTION: Final = 0.1
 BEYOND_FRACTION: Final = 0.005
 """Fractions of the area from which filter ends, holes and extrapolated slopes cause a warning."""
+
+ISOTROPIC: Final = 0.5
+"""Aspect ratio of a texture (Str) above which it is alike in all directions."""
 
 MIN_LENGTHS: Final = 5.0
 """Fewest autocorrelation lengths along the shorter side of a representative field."""
@@ -223,7 +226,7 @@ class ArealMeasurand(Measurand):
         every = []
         edge = self._preparation.edge_fraction()
         if edge > EDGE_FRACTION:
-            every.append(f"{edge:.0%} of the area lies within half the L-filter's nesting index of a border or hole")
+            every.append(f"{edge:.0%} of the area lies within half a filter's nesting index of a border or hole")
         if self.masked_share > MASKED_FRACTION:
             every.append(f"{self.masked_share:.0%} of the area is masked: the surface there may differ")
         if self._beyond_share > BEYOND_FRACTION:
@@ -274,6 +277,8 @@ class ArealMeasurand(Measurand):
         found: dict[str, tuple[str, ...]] = {}
         if not self._decay.reached:
             found["Str"] = ("upper limit: the autocorrelation does not fall to 0.2 in every direction of the field",)
+        if self._decay.shortest_px > ISOTROPIC * self._decay.longest_px:
+            found["Std"] = (f"the texture has no direction: Str is above {ISOTROPIC:g}",)
         if min(self._preparation.valid.shape) < MIN_LENGTHS * self._decay.shortest_px:
             found["Sal"] = (f"the field is narrower than {MIN_LENGTHS:g} times this length: it holds few features",)
         return found

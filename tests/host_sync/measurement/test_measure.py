@@ -189,12 +189,22 @@ def test_warnings_are_stated(write_result: Write, wave: np.ndarray) -> None:
     cv2.imwrite(str(folder / "extrapolated.png"), beyond)
     found = measure_result(folder, Recipe(l_filter_um=600.0))
     warnings = " ".join(number(found, "Sa").warnings)
-    assert "within half the L-filter's nesting index" in warnings
+    assert "within half a filter's nesting index" in warnings
     assert "50.0% of the area has slopes beyond those of the calibration balls: it is left out" in warnings
     assert number(found, "Sa").masked_share == pytest.approx(60 * 60 / torn.size)
     assert number(found, "Sa").left_out_share == 0.5
     assert number(found, "Sa").sentence.endswith("masked, 50 % left out")
     assert "upper limit" in " ".join(number(found, "Str").warnings)
+
+
+def test_a_long_s_filter_and_a_texture_without_direction_are_warned_of(write_result: Write, wave: np.ndarray) -> None:
+    rough = cv2.GaussianBlur(np.random.default_rng(3).standard_normal(SHAPE).astype(np.float32), (0, 0), 3.0)
+    alike = measure_result(write_result(20.0 * rough), Recipe(parameters=("Std", "Sq")))
+    assert "no direction" in " ".join(number(alike, "Std").warnings)
+    assert number(alike, "Sq").warnings == ()
+    smooth = measure_result(write_result(wave), Recipe(parameters=("Std", "Sq"), s_filter_um=500.0))
+    assert "half a filter's nesting index" in " ".join(number(smooth, "Sq").warnings)
+    assert "no direction" not in " ".join(number(smooth, "Std").warnings)
 
 
 def test_slopes_beyond_the_calibration_are_left_out_unless_they_are_asked_for(
