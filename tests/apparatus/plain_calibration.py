@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from device.calibration.acceptance import Coverage
 from device.inverse_map.model import InverseMap
 from device.surface import Float32Array
 from host_sync.frame_checks.frame_model import FrameModel
@@ -37,7 +38,7 @@ def plain_calibration(flat_field: Float32Array, inverse: InverseMap, pitch_um: f
         calibration_id="c0ffee",
         preferred="direct",
         assessment=SimpleNamespace(
-            passed=True, notes=(), checks=(), coverage=SimpleNamespace(sectors={"middle of the frame": False})
+            passed=True, notes=(), checks=(), coverage=Coverage({"middle of the frame": False}, {}, 45.0)
         ),
         lights=None,
     )
