@@ -70,7 +70,7 @@ MAX_SETTING: Final = 0.5
 class RejectedBall:
     """A place that looks like a ball and cannot be used for training; position in pixels.
 
-    error_deg : of its slopes by the model of the other balls; None where it was not evaluated
+    error_deg : mean error of its slopes by a model of the other balls; None where none was evaluated
     """
 
     column: float

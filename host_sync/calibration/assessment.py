@@ -179,7 +179,7 @@ def moved_note(presses: Sequence[PressFrame], used: Sequence[UsedPress]) -> list
 
 
 def _is_far(ball: Ball, stated: Sequence[Ball]) -> bool:
-    """Return whether every stated ball, of which there are some, lies far from a ball that is used."""
+    """Return whether a used ball lies far from every stated one; False where none is stated."""
     away = [np.hypot(one.column - ball.column, one.row - ball.row) for one in stated]
     return bool(away) and float(min(away)) > NOTED_MOVE * ball.contact_radius_px
 

@@ -169,7 +169,7 @@ def untouched_skin(surface: ResultSurface) -> MaskArray:
         return surface.untouched
     height = surface.height
     if min(height.z_um.shape) < 2:
-        raise MeasurementError("level: one row or column of pixels shows no untouched skin")
+        raise MeasurementError("level: a single row or column of pixels shows no untouched skin")
     p, q = surface_slopes(height)
     valid = np.isfinite(p) & np.isfinite(q)
     p, q = (np.nan_to_num(part).astype(np.float32) for part in (p, q))

@@ -106,7 +106,7 @@ class Measurement:
 def copies_among(measurements: Sequence[Measurement]) -> dict[int, Measurement]:
     """Return which measurements copy an earlier one, by their places: all numbers agree, so they are of one frame.
 
-    No two presses have the same noise; what is not known, or comes in steps, is no number here.
+    No two presses have the same noise. Unknown values, and values in steps, are not compared.
     """
     first: dict[object, Measurement] = {}
     numbers = [

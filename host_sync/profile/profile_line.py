@@ -95,7 +95,7 @@ def profile_along(z_um: Float32Array, pitch_um: float, line: Line) -> Profile:
 def _means_on_line(values: Float64Array, seen: MaskArray, offsets: Float64Array) -> Float64Array:
     """Return mean heights across a line, float64 array of shape (N,).
 
-    Where only a part is seen, its mean is moved to the line by the slope across, which is one for the whole line.
+    Where one side is masked, the mean of the other is extrapolated to the line by the mean slope across the whole line.
 
     values, seen : arrays of shape (N, M)
     offsets : from the line, their mean is zero: float64 array of shape (M,)

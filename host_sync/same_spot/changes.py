@@ -128,7 +128,7 @@ WIDTHS_PX: Final = (1.5, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
 the widths that are tried."""
 
 WIDER: Final = 1.35
-"""The largest of these widths over its smaller neighbour: so far the width that fits best may lie from one of them."""
+"""Largest ratio of the fitted width to the one of these that begins the fit; neighbours lie no further apart."""
 
 TO_SIGMA: Final = 1.4826
 
@@ -297,7 +297,7 @@ def _change(
 ) -> tuple[Change, MaskArray]:
     """Return the change at the peak of a band, and the pixels that it takes.
 
-    It is fitted as a round change of Gaussian profile on a plane; a width on the grid begins the search.
+    It is fitted as a round change of Gaussian profile on a plane; the best of `WIDTHS_PX` begins the fit.
     """
     row, column = np.ogrid[: rest.shape[0], : rest.shape[1]]
     down, right = np.broadcast_arrays(row - place[0], column - place[1])
@@ -339,11 +339,11 @@ def _refined(
     """Return the width, height and middle (down, right; px) of the round change on a plane that fits heights best.
 
     target : float64 array of shape (N,), µm
-    place_px : float64 array of shape (2, N), down and right of where the search begins
-    width_px, height_um : with which it begins
+    place_px : float64 array of shape (2, N), places down and right of the first estimate of the middle
+    width_px, height_um : first estimates
     """
 
-    def left(guess: Float64Array) -> Float64Array:
+    def residual(guess: Float64Array) -> Float64Array:
         width, height, down, right, level, steep, tilted = guess
         away = np.hypot(place_px[0] - down, place_px[1] - right)
         plane = level + steep * place_px[0] + tilted * place_px[1]
@@ -351,5 +351,5 @@ def _refined(
 
     begin = np.array([width_px, height_um, 0.0, 0.0, 0.0, 0.0, 0.0])
     reach = np.array([width_px * (1.0 - 1.0 / WIDER), np.inf, width_px, width_px, np.inf, np.inf, np.inf])
-    width, height, down, right, *_ = least_squares(left, begin, bounds=(begin - reach, begin + reach)).x.tolist()
+    width, height, down, right, *_ = least_squares(residual, begin, bounds=(begin - reach, begin + reach)).x.tolist()
     return width, height, (down, right)
