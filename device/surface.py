@@ -173,8 +173,8 @@ BULGE_ROUNDS: Final = 8
 
 PIT_CELLS: Final = 4
 PIT_FRACTION: Final = 0.3
-"""Depth of a pit beside an object that is doubted, as a fraction of the object's height, and the other way round: what
-hardly rises beside its recesses is an engraved surface."""
+"""Depth of a doubted pit as a fraction of the object's height, at least, and the other way round: a surface that hardly
+rises above its recesses is engraved."""
 
 
 def rest_height(
@@ -224,7 +224,7 @@ def levels_apart_um(height: HeightMap, resting: MaskArray, calm: MaskArray, slop
 
 
 def pit_um(height: HeightMap, shape: tuple[int, int], slope_sigma: float) -> float:
-    """Return how deep skin beside an object lies below its zero, µm; 0 without a pit several cells wide.
+    """Return how deep skin around an object lies below its zero, µm; 0 without a pit several cells wide.
 
     An object presses skin towards the camera only: either it has a recess, or slopes are wrong.
 
@@ -302,6 +302,19 @@ def _membrane(given: Float32Array, held: MaskArray, weight: Float32Array) -> Flo
         banded.reshape(rows + 1, -1), right.ravel(), lower=True, overwrite_ab=True, check_finite=False
     )
     return np.asarray(found.reshape(columns, rows).T, np.float32)
+
+
+def large_parts(mask: MaskArray, at_border: float, inside: float = 1.0, connectivity: int = 8) -> MaskArray:
+    """Return the large connected parts of a mask: bool array of its shape (H, W).
+
+    at_border, inside : fraction of the field that parts at its border, and others, exceed
+    connectivity : 8 where diagonal neighbours are connected, else 4
+    """
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=connectivity)
+    least = np.full(labels.max() + 1, inside)
+    least[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])] = at_border
+    large = np.bincount(labels.ravel()) / labels.size > least
+    return np.asarray(mask & large[labels], np.bool_)
 
 
 def _halved(cells: NDArray[Any]) -> Float32Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.errors import CalibrationMismatch, FrameError
-from device.surface import Float32Array, MaskArray
+from device.surface import Float32Array, MaskArray, large_parts
 from hal.frame import BayerOrder, RawFrame
 
 REFERENCE_BLUR_PX: Final = 3.0
@@ -224,16 +224,8 @@ def make_flat_field(reference: LinearFrame) -> Float32Array:
     blurred = cv2.GaussianBlur(rgb, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT).reshape(rgb.shape)
     detail = np.square(rgb / np.maximum(blurred, np.float32(DARK_FLOOR)) - np.float32(1.0)).mean(axis=-1)
     variance = cv2.GaussianBlur(detail, (0, 0), REFERENCE_BLUR_PX, borderType=cv2.BORDER_REFLECT)
-    edges = _at_border(variance > np.float32(EDGE_VARIANCE) * np.median(variance))
+    edges = large_parts(variance > np.float32(EDGE_VARIANCE) * np.median(variance), MIN_EDGE_FRACTION)
     return np.asarray(np.where(edges[..., None], rgb, blurred), np.float32)
-
-
-def _at_border(mask: MaskArray) -> MaskArray:
-    """Return the large connected parts of a mask (H, W) that reach the border of the field."""
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8))
-    large = np.bincount(labels.ravel()) > MIN_EDGE_FRACTION * mask.size
-    reaching = np.unique(np.concatenate([labels[[0, -1]].ravel(), labels[:, [0, -1]].ravel()]))
-    return np.asarray(mask & np.isin(labels, reaching[large[reaching]]), np.bool_)
 
 
 def flat_field_correct(frame: LinearFrame, flat_field: Float32Array) -> NormalizedImage:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from device.balls.sphere import Ball
 from device.imaging.flat_field import DARK_FLOOR, NormalizedImage
 from device.imaging.frame_light import FrameLight, certain_levels
-from device.surface import Float32Array, Float64Array, MaskArray
+from device.surface import Float32Array, Float64Array, MaskArray, large_parts
 
 CELLS_ACROSS: Final = 64
 MIN_CELLS: Final = 12
@@ -391,10 +391,6 @@ def _typical(variances: Float32Array, free: MaskArray) -> Float32Array:
 
 def _hanging_together(kept: Float32Array) -> Float32Array:
     """Return `kept`, 1 where calm cells neither reach the border nor are many: a ball's top has no slope either."""
-    calm = (kept < CALM).astype(np.uint8)
-    _, labels = cv2.connectedComponents(calm, connectivity=4)
-    edge = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    share = np.bincount(labels.ravel()) / labels.size
-    large = [number for number in range(1, share.size) if share[number] > (0.01 if number in edge else 0.03)]
-    near = cv2.dilate(np.isin(labels, large).astype(np.uint8), np.ones((3, 3), np.uint8))
+    calm = large_parts(kept < CALM, 0.01, 0.03, connectivity=4)
+    near = cv2.dilate(calm.astype(np.uint8), np.ones((3, 3), np.uint8))
     return np.where(near > 0, kept, np.float32(1.0))

@@ -72,7 +72,7 @@ def test_skin_at_rest_that_lies_apart_without_a_steep_flank_is_found(between_um:
 @pytest.mark.parametrize(
     ("boss_um", "recess_um", "pit"), [(200.0, 100.0, 100.0), (200.0, 20.0, 0.0), (10.0, 100.0, 0.0)]
 )
-def test_a_pit_beside_an_object_is_found_and_an_engraved_surface_is_none(
+def test_a_pit_near_an_object_is_found_and_an_engraved_surface_is_none(
     boss_um: float, recess_um: float, pit: float
 ) -> None:
     height = np.zeros(SHAPE, np.float32)
