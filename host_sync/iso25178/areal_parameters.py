@@ -8,7 +8,7 @@ is two pixels wide. Sdr takes the area over each square of four valid pixels, as
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import scipy.fft
@@ -345,6 +345,9 @@ AREAL_SUBJECT: Final = "surface"
 """Subject of areal parameters; other subjects are names from the recipe."""
 
 
+NoiseLaw = Literal["squares", "either", "extreme"]
+
+
 @dataclass(frozen=True, slots=True)
 class ParameterKind:
     """Kind of a parameter.
@@ -352,6 +355,8 @@ class ParameterKind:
     unit : empty for a pure number
     stretch_power : exponent of its dependence on lateral lengths
     is_amplitude : noise raises it as it raises an amplitude, and is taken off
+    noise_law : how noise adds to it: in squares; in squares or, where the surface is flat, in proportion; or mostly in
+        proportion (an extreme)
     is_shape : without an L-filter, waviness dominates it; slopes determine that least and the samples do not contain
         its error, so that no uncertainty is stated
     """
@@ -359,25 +364,31 @@ class ParameterKind:
     unit: str
     stretch_power: float = 0.0
     is_amplitude: bool = False
+    noise_law: NoiseLaw = "squares"
     is_shape: bool = False
 
 
 AMPLITUDE: Final = ParameterKind("µm", is_amplitude=True)
+EXTREME: Final = ParameterKind("µm", is_amplitude=True, noise_law="extreme")
 SLOPE: Final = ParameterKind("µm/µm", -1.0, is_amplitude=True)
-_NUMBER: Final = ParameterKind("")
+MOMENT: Final = ParameterKind("", noise_law="either")
 _SHAPE: Final = ParameterKind("", is_shape=True)
-_PER_AREA: Final = ParameterKind("µm³/µm²")
+_PER_AREA: Final = ParameterKind("µm³/µm²", noise_law="either")
+_CURVE: Final = ParameterKind("µm", is_amplitude=True, noise_law="either")
 
-HEIGHT: Final = dict.fromkeys(("Sa", "Sq", "Sp", "Sv", "Sz"), AMPLITUDE) | {"Ssk": _SHAPE, "Sku": _NUMBER}
+HEIGHT: Final = {"Sa": AMPLITUDE, "Sq": AMPLITUDE, "Sp": EXTREME, "Sv": EXTREME, "Sz": EXTREME} | {
+    "Ssk": ParameterKind("", noise_law="either", is_shape=True),
+    "Sku": MOMENT,
+}
 HYBRID: Final = {"Sdq": SLOPE, "Sdr": ParameterKind("%", -2.0, is_amplitude=True)}
 SPATIAL: Final = {"Sal": ParameterKind("µm", 1.0), "Str": _SHAPE, "Std": ParameterKind("°")}
 FUNCTIONAL: Final = {
-    "Sk": AMPLITUDE,
-    "Spk": ParameterKind("µm", is_amplitude=True, is_shape=True),
-    "Svk": AMPLITUDE,
+    "Sk": _CURVE,
+    "Spk": ParameterKind("µm", is_amplitude=True, noise_law="either", is_shape=True),
+    "Svk": _CURVE,
     "Smr1": ParameterKind("%", is_shape=True),
     "Smr2": ParameterKind("%"),
-    "Sxp": AMPLITUDE,
+    "Sxp": _CURVE,
     "Vmp": _PER_AREA,
     "Vmc": _PER_AREA,
     "Vvc": _PER_AREA,

@@ -35,7 +35,8 @@ from host_sync.profile.step_height import (
 
 _UM: Final = ParameterKind("µm")
 _LENGTH: Final = ParameterKind("µm", 1.0)
-_VOLUME: Final = ParameterKind("µm³", 2.0)
+_EXTREME: Final = ParameterKind("µm", noise_law="extreme")
+_VOLUME: Final = ParameterKind("µm³", 2.0, noise_law="either")
 
 MAX_OF_PLANE: Final = 0.35
 """Largest residual of a sphere, in that of a plane: a cylinder has 0.7, a ball with the skin around it 0.5."""
@@ -334,7 +335,12 @@ class VolumeMeasurand(Measurand):
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Return two volumes, a depth and a height."""
-        return {"void volume": _VOLUME, "material volume": _VOLUME, "largest depth": _UM, "largest height": _UM}
+        return {
+            "void volume": _VOLUME,
+            "material volume": _VOLUME,
+            "largest depth": _EXTREME,
+            "largest height": _EXTREME,
+        }
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Return volumes below and above the plane through the border."""

@@ -35,8 +35,8 @@ from host_sync.measurement.quantity import (
     NOISE_FRACTION,
     NOISE_WARNING,
     Quantity,
+    bias_taken_off,
     judged,
-    noise_bias,
     uncertainty_of,
     uncertainty_of_uncertainty,
     unmet,
@@ -56,9 +56,6 @@ NO_LENGTH_SIGMA: Final = "± not known, because that of the pixel pitch is not: 
 
 BEYOND: Final = "reaches beyond the field: only the part inside is measured"
 
-NOISE_BIAS_SIGMA: Final = 0.2
-"""Standard uncertainty of what noise adds to a number, relative to it."""
-
 ROUNDING: Final = 1e-6
 """A spread of so small a share of a number is that of float32."""
 
@@ -73,6 +70,8 @@ MEASURANDS: Final[Mapping[str, tuple[str, Callable[..., Measurand]]]] = {
 """Of a recipe's tables: the number that has the reason where one is not found, and what measures it."""
 
 Numbers = Mapping[str, float]
+Bias = tuple[float, float]
+"""Of a number, and its standard uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,16 +283,21 @@ def _drawn(
     return zip(samples.surfaces(), HeightSamples(smooth, recipe.scale).surfaces(), strict=True)
 
 
-def _raised(plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float32Array]) -> Sequence[Numbers]:
-    """By how much pixel noise has raised parameters of surface and profiles that measure an amplitude."""
+def _raised(
+    plan: _MeasurementPlan, found: _Evaluation, noisier: Iterable[Float32Array]
+) -> Sequence[Mapping[str, Bias]]:
+    """By how much pixel noise has raised parameters of surface and profiles that measure an amplitude, and its ±."""
     looks = [plan.rough(z_um) for z_um in noisier]
     if not looks:
         return ()
     raised = []
     for index, (numbers, measurand) in enumerate(zip(found.numbers[: len(looks[0])], plan.measurands, strict=False)):
-        names = [name for name, kind in measurand.kinds().items() if kind.is_amplitude]
-        more = {name: float(np.mean([look[index][name] for look in looks])) - numbers[name] for name in names}
-        raised.append({name: noise_bias(numbers[name], step) for name, step in more.items() if step > 0.0})
+        biases = {}
+        for name, kind in measurand.kinds().items():
+            steps = np.array([look[index][name] for look in looks]) - numbers[name]
+            if kind.is_amplitude and steps.mean() > 0.0:
+                biases[name] = bias_taken_off(numbers[name], steps, kind.noise_law)
+        raised.append(biases)
     return raised
 
 
@@ -306,14 +310,14 @@ def _quantities(
     found: Sequence[Numbers],
     drawn: Sequence[Sequence[Numbers]],
     factor: int,
-    noise: Sequence[Numbers] = (),
+    noise: Sequence[Mapping[str, Bias]] = (),
 ) -> Iterable[Quantity]:
     for index, (measurand, numbers) in enumerate(zip(plan.measurands, found, strict=True)):
         warnings, definition = measurand.warnings(), measurand.definition_sigmas()
         for name, kind in measurand.kinds().items():
             value = numbers[name]
             others = np.array([sample[index][name] for sample in drawn])
-            known = uncertainty_of(value, others, is_direction=name == DIRECTION)
+            known = uncertainty_of(value, others, is_direction=name == DIRECTION, law=kind.noise_law)
             if known and known[0] <= ROUNDING * abs(value):
                 known = None  # the samples do not vary it: a lateral length whose pitch has no uncertainty
             words = (*warnings.get("", ()), *warnings.get(name, ()))
@@ -325,12 +329,12 @@ def _quantities(
                 known = (own, *known[1:]) if np.isfinite(own) else None
             if known and measurand is plan.areal and name in plan.areal.without_sigma:
                 known, words = None, (*words, NO_SHAPE_SIGMA)
-            taken = noise[index].get(name) if index < len(noise) else None
+            taken, sigma = noise[index].get(name, (None, 0.0)) if index < len(noise) else (None, 0.0)
             if known and taken is not None:
                 value -= taken
                 # Its spread over the samples, and beside it the uncertainty of the noise.
                 spread = float(np.sqrt(max(known[0] ** 2 - known[1] ** 2, 0.0)))
-                known = float(np.hypot(spread, NOISE_BIAS_SIGMA * taken)), 0.0, known[2]
+                known = float(np.hypot(spread, sigma)), 0.0, known[2]
             if known and abs(known[1]) > max(NOISE_WARNING * known[0], NOISE_FRACTION * abs(value)):
                 verb = "raises" if known[1] > 0.0 else "lowers"
                 words += (f"measurement noise {verb} it by about {abs(known[1]):.2g} {kind.unit}".rstrip(),)

@@ -23,7 +23,9 @@ from host_sync.iso25178.areal_parameters import (
     AMPLITUDE,
     AREAL,
     AREAL_SUBJECT,
+    EXTREME,
     GROUPS,
+    MOMENT,
     SLOPE,
     Autocorrelation,
     Decay,
@@ -299,13 +301,16 @@ def _smr(height_um: float) -> str:
     return f"Smr({height_um:g} µm)"
 
 
-_NUMBER: Final = ParameterKind("")
-_KINDS: Final = dict.fromkeys(("a", "q", "z", "p", "v", "t"), AMPLITUDE) | {
-    "sk": _NUMBER,
-    "ku": _NUMBER,
-    "dq": SLOPE,
-    "Sm": ParameterKind("µm", 1.0),
-}
+_KINDS: Final = (
+    dict.fromkeys("aq", AMPLITUDE)
+    | dict.fromkeys("zpvt", EXTREME)
+    | {
+        "sk": MOMENT,
+        "ku": MOMENT,
+        "dq": SLOPE,
+        "Sm": ParameterKind("µm", 1.0),
+    }
+)
 
 
 class ProfileMeasurand(Measurand):

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from device.surface import Float64Array
+from host_sync.iso25178.areal_parameters import NoiseLaw
 from host_sync.measurement.recipe import ToleranceTable
 from host_sync.results.record import DoubtKind
 
@@ -135,7 +136,9 @@ def decimals(uncertainty: float) -> int:
     return int(np.clip(1 - np.floor(np.log10(uncertainty)), -12, 9))
 
 
-def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = False) -> tuple[float, float, int] | None:
+def uncertainty_of(
+    value: float, drawn: Float64Array, *, is_direction: bool = False, law: NoiseLaw = "squares"
+) -> tuple[float, float, int] | None:
     """Return a number's standard uncertainty, its noise bias, and the number of samples with a value.
 
     None with too few samples. The uncertainty combines the spread of the samples about their mean with the noise bias,
@@ -143,6 +146,7 @@ def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = Fa
 
     drawn : float64 array of shape (K,), NaN where a sample gave no value
     is_direction : an angle in degrees with a period of 180°
+    law : of the noise bias
     """
     seen = drawn[np.isfinite(drawn)]
     if not np.isfinite(value) or seen.size < max(MIN_DRAWS, drawn.size / 2):
@@ -151,20 +155,46 @@ def uncertainty_of(value: float, drawn: Float64Array, *, is_direction: bool = Fa
     if is_direction:
         off = (off + 90.0) % 180.0 - 90.0
         return float(np.sqrt((off**2).mean() + DIRECTION_STEP_DEG**2 / 12.0)), float(off.mean()), int(seen.size)
-    raised = noise_bias(value, float(off.mean()))
+    raised = noise_bias(value, float(off.mean()), law)
     return float(np.hypot(off.std(), raised)), raised, int(seen.size)
 
 
-def noise_bias(value: float, offset: float) -> float:
-    """Return the noise bias of a number that the same noise, added once more, raises by `offset`.
+def noise_bias(value: float, offset: float, law: NoiseLaw = "squares") -> float:
+    """Return the noise bias of a number that the same noise, added once more, changes by `offset`.
 
     Noise and surface add in squares (Sq² = surface² + noise²), so the first noise raised the number by more than the
     second; on a flat surface that shows only noise, by the whole number. A negative `offset` is returned as it is.
+
+    A maximum grows in proportion: N independent values of noise σ raise it by about σ √(2 ln N), so that the second
+    noise added √2 - 1 of what the first did. Where it is either, the root mean square of both is returned.
     """
-    if not offset > 0.0:
-        return offset
-    square = value**2 - 2.0 * abs(value) * offset - offset**2
-    return offset if value <= 0.0 else value - float(np.sqrt(max(square, 0.0)))
+    squares = offset
+    if offset > 0.0 and value > 0.0:
+        squares = value - float(np.sqrt(max(value**2 - 2.0 * value * offset - offset**2, 0.0)))
+    if law == "squares":
+        return squares
+    proportion = offset / (np.sqrt(2.0) - 1.0)
+    return float(proportion if law == "extreme" else np.copysign(np.hypot(squares, proportion) / np.sqrt(2.0), offset))
+
+
+NOISE_BIAS_SIGMA: Final = 0.2
+"""Standard uncertainty of what noise adds to a number, relative to it."""
+
+
+def bias_taken_off(value: float, steps: Float64Array, law: NoiseLaw) -> tuple[float, float]:
+    """Return the noise bias that is subtracted from a number, and its standard uncertainty.
+
+    Noise adds to an extreme in proportion where many places compete for it, in squares where few do: the middle is
+    subtracted, and half of the difference is in the uncertainty. Of other numbers it is taken to add in squares.
+
+    steps : what draws of the noise, added once more, raise the number by; of mean above 0
+    """
+    offset = float(steps.mean())
+    least = noise_bias(value, offset)
+    most = max(min(noise_bias(value, offset, law), value), least) if law == "extreme" else least
+    taken = 0.5 * (least + most)
+    scatter = taken / offset * float(steps.std()) / np.sqrt(steps.size - 1)
+    return taken, float(np.linalg.norm([NOISE_BIAS_SIGMA * taken, 0.5 * (most - least), scatter]))
 
 
 def uncertainty_of_uncertainty(samples: int) -> float:

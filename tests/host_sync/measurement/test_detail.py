@@ -72,6 +72,26 @@ def test_roughness_on_raw_detail_is_the_surface_s_without_noise(
     assert 0.0 < uncertainty < 0.1 * truth + 0.3 * taken + 0.1 * value
 
 
+@pytest.mark.parametrize("name", ["Sz", "Sp", "Sv"])
+def test_noise_is_taken_off_an_extreme_as_well_as_its_uncertainty_states(
+    write_result: Callable[..., Path], noise_um: tuple[np.ndarray, SlopeNoise], name: str
+) -> None:
+    size = 10.0 * noise_um[0].std()
+    column = np.arange(SHAPE[1])
+    errors, stated = [], []
+    for smooth in (size * np.sin(2.0 * np.pi * column / 30.0), 2.0 * size * ((column < 100) | (column > 140))):
+        smooth_um = np.broadcast_to(smooth, SHAPE)
+        truth, _, _ = number(write_result(smooth_um, "truth", error_um=1e-4), name)
+        for turn in range(4):
+            noise = np.roll(noise_um[0], 41 * turn, 1)[:: 1 - 2 * (turn % 2)]
+            value, taken, uncertainty = number(two_surfaces(write_result, smooth_um, (noise, noise_um[1])), name)
+            assert taken is not None
+            assert taken > 0.0
+            errors.append(value - truth)
+            stated.append(uncertainty)
+    assert 0.4 < np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(stated))) < 1.4
+
+
 def test_all_is_measured_on_the_detail_that_is_asked_for(
     write_result: Callable[..., Path], noise_um: tuple[np.ndarray, SlopeNoise]
 ) -> None:

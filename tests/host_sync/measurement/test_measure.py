@@ -111,6 +111,29 @@ def test_stated_intervals_hold_the_truth_two_times_of_three(
     assert 0.5 <= np.mean(held) <= 0.88
 
 
+def test_the_uncertainty_of_an_extreme_holds_what_noise_adds_to_it(write_result: Write) -> None:
+    """Crests and pits of a wave and of a groove are many places: the highest is raised in proportion to the noise."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    line = ProfileTable(name="line", from_um=(50.0, 450.0), to_um=(1150.0, 450.0))
+    pit = VolumeTable(name="pit", region_um=(300.0, 150.0, 900.0, 750.0), border_um=50.0)
+    recipe = Recipe(parameters=("Sp", "Sv", "Sz"), scale=LIKE_BALLS, profile=(line,), volume=(pit,))
+    names = (("surface", "Sz"), ("surface", "Sp"), ("line", "Pz"), ("pit", "largest depth"))
+    for flat in (2.0 * np.sin(2.0 * np.pi * column / 30.0 + 0.2), -4.0 * ((column > 100) & (column < 140)) + 0.0 * row):
+        plain = read_result(write_result(flat, samples=0))
+        truth = [number(measure(plain, recipe), name, subject).value for subject, name in names]
+        errors, stated = np.zeros((2, 10, len(names)))
+        for seed in range(10):
+            noise = 0.2 * np.random.default_rng(seed).standard_normal((17, *SHAPE)).astype(np.float32)
+            measured = HeightMap(plain.height.z_um + noise[0], PITCH_UM)
+            found = measure(replace(plain, height=measured, samples_um=noise[1:]), recipe)
+            every = [number(found, name, subject) for subject, name in names]
+            errors[seed] = [one.value - true for one, true in zip(every, truth, strict=True)]
+            stated[seed] = [one.uncertainty for one in every]
+        ratio = np.sqrt((errors**2).mean(axis=0) / (stated**2).mean(axis=0))
+        assert ratio.min() > 0.4
+        assert ratio.max() < 1.3
+
+
 def test_the_filter_takes_what_it_removes_out_of_the_uncertainty_too(write_result: Write, wave: np.ndarray) -> None:
     folder = write_result(wave, error_um=0.5)
     recipes = (Recipe(scale=LIKE_BALLS), Recipe(l_filter_um=160.0, scale=LIKE_BALLS))
@@ -288,6 +311,10 @@ def test_what_is_nothing_but_noise_has_an_uncertainty_as_large_as_itself() -> No
     assert uncertainty_of(10.0, np.full(16, np.hypot(10.0, 1.0)))[1] == pytest.approx(10.0 - np.sqrt(99.0), rel=1e-6)
     assert uncertainty_of(-3.0, np.full(16, -2.5))[1] == pytest.approx(0.5)
     assert uncertainty_of(1.0, np.full(3, 1.0)) is None
+    crest, peak = 10.0, 4.0
+    twice = np.full(16, crest + noisier * peak)
+    assert uncertainty_of(crest + peak, twice, law="extreme")[0] == pytest.approx(peak)
+    assert 0.7 * peak < uncertainty_of(crest + peak, twice, law="either")[0] < peak
 
 
 def test_an_angle_between_regions_that_are_not_flat_says_so_and_is_as_unsure(write_result: Write) -> None:
