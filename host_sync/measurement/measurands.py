@@ -289,8 +289,8 @@ class CircleMeasurand(Measurand):
 
     def kinds(self) -> Mapping[str, ParameterKind]:
         """Return four lengths along the skin, and a height."""
-        along = dict.fromkeys(("diameter", "centre right", "centre down", "roundness"), _LENGTH)
-        return along | {"step": _UM}
+        along = dict.fromkeys(("diameter", "centre right", "centre down"), _LENGTH)
+        return along | {"roundness": ParameterKind("µm", 1.0, noise_law="extreme"), "step": _UM}
 
     def values(self, z_um: Float32Array) -> Mapping[str, float]:
         """Return the circle of a height map of shape (H, W), µm."""
