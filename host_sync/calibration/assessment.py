@@ -85,7 +85,7 @@ def assess(
     CalibrationError
         Too few balls are left, their radii contradict each other, or held-out balls are wrong.
     """
-    check_count(used, pitch_um)
+    check_count(used, pitch_um, presses[0].radius_px)
     shares = radius_shares(training, inverse.map)
     check_radii(shares, [press.label for press in used for _ in press.balls])
     check_fit(inverse)

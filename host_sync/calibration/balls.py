@@ -122,14 +122,26 @@ def check_distinct(presses: Sequence[PressFrame]) -> None:
     CalibrationError
         Names both presses.
     """
-    seen: dict[bytes, PressFrame] = {}
+    seen: dict[bytes, list[PressFrame]] = {}
     for press in presses:
         sample = np.ascontiguousarray(press.frame.rgb[::SAMPLED_STEP, ::SAMPLED_STEP]).tobytes()
-        twin = seen.setdefault(sample, press)
-        if twin is not press and twin.balls == press.balls and np.array_equal(twin.frame.rgb, press.frame.rgb):
-            raise CalibrationError(
-                f"{press.label} is the same frame as {twin.label}: leave one out, each press must be another one"
-            )
+        for twin in seen.setdefault(sample, []):
+            if _may_show_one_ball(twin, press) and np.array_equal(twin.frame.rgb, press.frame.rgb):
+                raise CalibrationError(
+                    f"{press.label} is the same frame as {twin.label}: leave one out, each press must be another one"
+                )
+        seen[sample].append(press)
+
+
+def _may_show_one_ball(one: PressFrame, other: PressFrame) -> bool:
+    """Return False for presses of one frame whose labels are of different balls."""
+    if not one.balls or not other.balls:
+        return True
+    return any(
+        np.hypot(ball.column - near.column, ball.row - near.row) < max(ball.contact_radius_px, near.contact_radius_px)
+        for ball in one.balls
+        for near in other.balls
+    )
 
 
 def locate(press: PressFrame, flat_field: Float32Array) -> UsedPress:

@@ -88,10 +88,10 @@ def locate_all(
     return located, pitch
 
 
-def check_count(presses: Sequence[UsedPress], pitch_um: float, radius_px: float | None = None) -> None:
+def check_count(presses: Sequence[UsedPress], pitch_um: float, radius_px: float) -> None:
     """Refuse presses that show too few balls.
 
-    radius_px : of the balls as stated; None where the balls were used and then left out
+    radius_px : of the balls as stated
 
     Raises
     ------
@@ -102,7 +102,7 @@ def check_count(presses: Sequence[UsedPress], pitch_um: float, radius_px: float 
     if balls >= MIN_BALLS:
         return
     why = "; ".join(_grouped(presses))
-    advice = _advice([press.intensity for press in presses if not press.balls], pitch_um, radius_px)
+    advice = _advice(presses, pitch_um, radius_px)
     raise CalibrationError(
         f"{balls} usable balls in {len(presses)} calibration presses{f' ({why})' if why else ''}, and {MIN_BALLS} are "
         f"needed: {advice}"
@@ -131,8 +131,9 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:NAMED])} and {more} more:" if more > 0 else f"{', '.join(names)}"
 
 
-def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float | None) -> str:
-    """Return the mend that the presses themselves suggest where they show no ball."""
+def _advice(presses: Sequence[UsedPress], pitch_um: float, radius_px: float) -> str:
+    """Return the mend that the presses themselves suggest where most show no ball."""
+    images = [press.intensity for press in presses if not press.balls]
     if images and float(np.median([colour_over_brightness(image) for image in images])) < ONE_LIGHT:
         return ONE_LIGHT_WORDS
     level = float(np.median([np.nanmedian(image.values) for image in images])) if images else 1.0
@@ -141,8 +142,9 @@ def _advice(images: Sequence[NormalizedImage], pitch_um: float, radius_px: float
             f"the presses are {level:.2f} times as bright as the reference: take the reference again with "
             "this gel, these lights and this exposure"
         )
-    found = fitting_radius(images[:: max(1, len(images) // LOOKED_AT)]) if radius_px and images else None
-    if found is not None and radius_px and 2 * found.presses >= found.looked_at and found.presses > 1:
+    found = fitting_radius([press.intensity for press in presses[:: max(1, len(presses) // LOOKED_AT)]])
+    used = len(presses) - len(images)
+    if found is not None and found.presses > 1 and found.presses * len(presses) > used * found.looked_at:
         ratio = found.radius_px / radius_px
         if not 1.0 / OTHER_RADIUS < ratio < OTHER_RADIUS:
             return f"{found.sentence(pitch_um, radius_px)}: {mend_of_radius(ratio, 'ball_radius_mm', 'pixel_pitch_um')}"

@@ -165,6 +165,8 @@ def _reconstruct_frame_set(
     from host_sync.reconstruction.scans import has_reference_of, reconstruct_frame_set
 
     calibrator = calibrator_for(calibration, report_progress, order.facts, paper=order.method == "paper")
+    if calibration is not None and not has_reference_of(calibrator.named().calibration, frame_set):
+        print_error(f"{frame_set.path}: [reference] differs from the calibration's, which is used instead", PARTLY)
     done, failures = reconstruct_frame_set(
         frame_set,
         out,
@@ -179,8 +181,6 @@ def _reconstruct_frame_set(
     outcomes = [ScanOutcome(name, out / name, doubts) for name, doubts in done.items()]
     outcomes += [ScanOutcome(failure.name, reason=failure.reason) for failure in failures]
     print_outcomes(outcomes)
-    if calibration is not None and not has_reference_of(calibrator.named().calibration, frame_set):
-        print_error(f"{frame_set.path}: [reference] differs from the calibration's, which is used instead", PARTLY)
     if order.facts is None:
         print_line(f"{len(done)} of {len(outcomes)} scans reconstructed into {out}")
     return outcomes

@@ -18,7 +18,7 @@ from device.errors import CalibrationError
 from device.imaging.flat_field import LinearFrame, NormalizedImage, flat_field_correct
 from device.surface import Float32Array
 from host_sync.frame_checks.layout_check import LayoutModel, Turn, turns_of
-from host_sync.frame_checks.level_check import MAX_REACH, LevelModel, LightPositionModel
+from host_sync.frame_checks.level_check import MAX_REACH, LevelModel, LightPositionModel, change_below
 from host_sync.frame_checks.light_levels import SlopeResponse, cell_logs
 from host_sync.frame_checks.pigment_pattern import PatternSight, ReferencePattern
 from host_sync.results.record import FrameCheck, not_checked
@@ -68,8 +68,8 @@ class FrameModel:
             )
         if self.levels.reach > MAX_REACH:
             found.append(
-                f"frames without untouched skin cannot be checked for lights that differ by less than "
-                f"{self.levels.reach:.0%}: the calibration's own presses differ that much"
+                f"frames without untouched skin cannot be checked for {change_below(self.levels.reach)}: "
+                "the calibration's own presses differ as much"
             )
         return tuple(found)
 

@@ -40,6 +40,12 @@ def is_light(light: FrameLight) -> bool:
     return light.change <= MAX_PRESS_CHANGE and light.stray <= MAX_STRAY
 
 
+def change_below(reach: float) -> str:
+    """Return the words for light changes up to a log change, which mean nothing where lights may be twice as bright."""
+    limit = np.expm1(reach)
+    return f"a change of the lights below {limit:.0%}" if limit < 1.0 else "any change of the lights"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelModel:
     """Levels of the calibration's own presses.
@@ -71,7 +77,7 @@ class LevelModel:
 
     @property
     def reach(self) -> float:
-        """Largest change of all lights together, as a fraction, that presses of the calibration show or may have."""
+        """Largest log change of all lights together that presses of the calibration show or may have."""
         return max(-self.common[0], self.common[1])
 
     def check_light(self, light: FrameLight) -> tuple[FrameCheck, FrameCheck]:
@@ -103,7 +109,7 @@ class LevelModel:
         if reach > MAX_REACH:
             return not_checked(
                 NAME,
-                f"a change of the lights below {np.expm1(reach):.0%} cannot be distinguished from how the "
+                f"{change_below(reach)} cannot be distinguished from how the "
                 f"calibration's presses differ{'' if largest.untouched else ' and what is pressed'}",
             )
         cleared = any(

@@ -31,7 +31,7 @@ from hal.simulator.bench import build
 from hal.simulator.hardware import twin_hardware
 from hal.simulator.scene import Press
 from hal.simulator.surfaces import SphereGrid
-from host_sync.calibration.balls import GridSpacing, PressFrame, locate
+from host_sync.calibration.balls import GridSpacing, PressFrame, check_distinct, locate
 from host_sync.calibration.calibrate import calibrate
 from host_sync.calibration.consistency import check_agreement
 from host_sync.calibration.located_presses import detect_grid
@@ -130,6 +130,23 @@ def test_one_press_under_two_names_is_refused(usual: SimulatedScene) -> None:
     frames = [*usual.balls, replace(usual.balls[2], rgb=usual.balls[2].rgb.copy())]
     with pytest.raises(CalibrationError, match=r"press-06 is the same frame as press-02: leave one out"):
         calibrate(presses(frames), usual.rest, PITCH_UM)
+
+
+def test_one_ball_in_two_labels_of_one_frame_is_refused(usual: SimulatedScene) -> None:
+    found = [replace(press, balls=locate(press, usual.rest.rgb).balls) for press in presses(usual.balls)]
+    (ball,) = found[2].balls or ()
+    again = replace(found[2], name="press-06", balls=(replace(ball, column=ball.column + 2.0),))
+    with pytest.raises(CalibrationError, match=r"press-06 is the same frame as press-02"):
+        check_distinct([*found, again])
+    check_distinct([*found, replace(again, balls=(replace(ball, column=ball.column + 3 * ball.contact_radius_px),))])
+
+
+@pytest.mark.slow
+def test_another_radius_is_hinted_where_many_presses_show_nothing(usual: SimulatedScene) -> None:
+    empty = [replace(usual.rest, rgb=np.roll(usual.rest.rgb, i + 1, axis=0)) for i in range(4)]
+    small = [replace(press, radius_px=0.3 * press.radius_px) for press in presses([*usual.balls[:3], *empty])]
+    with pytest.raises(CalibrationError, match=r"usable balls in 7 .* fits the balls .*: check ball_radius_mm"):
+        calibrate(small, usual.rest, PITCH_UM)
 
 
 def test_a_reference_of_another_gel_is_refused(usual: SimulatedScene, small_twin: BoardProfile) -> None:

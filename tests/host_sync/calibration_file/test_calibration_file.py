@@ -174,6 +174,12 @@ def test_a_reference_that_is_not_the_calibrations_is_not_used_in_silence(
     assert cv2.imwrite(str(folder / "flat.png"), (0.97 * flat).astype(flat.dtype))
     assert main(command) == 0
     assert "[reference] differs from the calibration's, which is used instead" in capsys.readouterr().err
+    data = (folder / "flat.png").read_bytes()
+    (folder / "flat.png").write_bytes(data[: len(data) // 2])
+    shutil.rmtree(tmp_path / "out")
+    assert main(command) == 2
+    assert "flat.png" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists(), "it is refused before any work"
 
 
 def test_json_says_which_calibration_was_used_and_what_became_of_each_scan(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from device.imaging.frame_light import FrameLight
-from host_sync.frame_checks.level_check import LevelModel, is_light
+from host_sync.frame_checks.level_check import LevelModel, change_below, is_light
 
 STEADY = LevelModel(np.full(3, -0.06), np.full(3, 0.06), (-0.06, 0.06), None)
 BALANCED = LevelModel(np.array([-0.2, -0.06, -0.3]), np.array([0.15, 0.06, 0.4]), (-0.1, 0.1), None)
@@ -47,3 +47,8 @@ def test_lights_of_a_press_may_change_by_half_and_its_surroundings_hardly() -> N
     assert is_light(light(1.1, 0.97, 1.45))
     assert not is_light(light(1.0, 1.0, 0.4))
     assert not is_light(light(1.0, 1.0, 1.0, 0.06))
+
+
+def test_a_change_that_percent_do_not_describe_has_no_figure() -> None:
+    assert change_below(0.2) == "a change of the lights below 22%"
+    assert change_below(7.78) == "any change of the lights"
