@@ -160,7 +160,10 @@ def show_status(*, json: bool = False, options: Given) -> int:
     stored = store.scans()
     calibration_id, fault = None, ""
     try:
-        calibration_id = store.active_calibration().calibration_id
+        active = store.active_calibration()
+        calibration_id = active.calibration_id
+        if active.record.gel_id != fitted.gel.id:
+            fault = f"calibration {calibration_id} is of gel {active.record.gel_id}: run `retroscan calibrate` first"
     except DeviceError as error:
         fault = str(error)
     bytes_per_scan = int(BYTES_PER_PIXEL * profile.sensor.rows * profile.sensor.columns)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
+from msgspec import ValidationError, convert
 
 if TYPE_CHECKING:
     from device.store.store import BundleStore
@@ -79,7 +80,13 @@ def _text(_: Any, tokens: Sequence[Any]) -> str:
         text.encode()
     except UnicodeEncodeError as error:
         raise ValueError(f"{text!r} is not valid UTF-8 text") from error
-    return text
+    from device.bundles.record import Text as Stored  # here, because only labels need it
+    from hal.validation import explain_validation
+
+    try:
+        return convert(text.strip(), Stored)
+    except ValidationError as error:
+        raise ValueError(f"{text[:20] + '…'!r} {explain_validation(error)}") from error
 
 
 def _length_mm(_: Any, tokens: Sequence[Any]) -> float:

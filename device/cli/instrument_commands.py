@@ -227,7 +227,7 @@ def lights_off(*, options: Given) -> int:
 
 def annotations_of(labels: Labels | None) -> Annotations:
     """Return the annotations that are stored with a scan."""
-    return Annotations(**asdict(labels or Labels()))
+    return Annotations(**{name: text or None for name, text in asdict(labels or Labels()).items()})
 
 
 def _report(outcome: ScanOutcome, as_json: bool) -> None:

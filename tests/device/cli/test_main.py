@@ -277,11 +277,32 @@ def test_status_list_and_selftest_answer_in_json_too(
     status = json.loads(capsys.readouterr().out)
     assert (status["scans"], status["scans_sent"], status["calibration_fault"]) == (1, 0, "")
     assert status["scans_left"] > 0
+    assert main([*retroscan, "gel", "another"]) == 0
+    assert main([*retroscan, "status"]) == 0
+    said = capsys.readouterr().out
+    assert f"{status['calibration']} is of gel {status['gel']}: run" in said
+    assert "is active" not in said
+    assert main([*retroscan, "gel", status["gel"]]) == 0
+    capsys.readouterr()
     assert main([*retroscan, "selftest", "--json"]) == 0
     findings = json.loads(capsys.readouterr().out)
     assert {finding["state"] for finding in findings} == {"ok"}
     assert main([*retroscan, "list"]) == 0
     assert scanned["scan"] in capsys.readouterr().out
+
+
+def test_labels_that_no_record_takes_are_refused_before_the_press(
+    calibrated_root: Path, tmp_path: Path, small_board: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = shutil.copytree(calibrated_root, tmp_path / "store")
+    retroscan = ["--board", str(small_board), "--store", str(store)]
+    sentence = refusal(capsys, [*retroscan, "scan", "--part", "x" * 4001], 2)
+    assert "is too long; accepted is at most 4000 characters" in sentence
+    assert main([*retroscan, "scan", "--part", "  ", "--job", " J 1 "]) == 0
+    capsys.readouterr()
+    assert main([*retroscan, "list", "--json"]) == 0
+    labels = json.loads(capsys.readouterr().out)["scans"][0]["annotations"]
+    assert (labels["part"], labels["job"]) == (None, "J 1")
 
 
 def test_the_demonstration_takes_the_options_before_it_and_ends_with_the_screens_code(
