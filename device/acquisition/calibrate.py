@@ -11,13 +11,20 @@ from typing import Final
 import numpy as np
 
 from device.acquisition.capture import CaptureSettings, capture
-from device.acquisition.guided_calibration import AcceptedPress, GuidedCalibration, LastCalibration
+from device.acquisition.guided_calibration import (
+    MAX_EXTRA,
+    AcceptedPress,
+    GuidedCalibration,
+    LastCalibration,
+    press_places,
+)
+from device.acquisition.scanner import BYTES_PER_PIXEL
 from device.acquisition.selftest import check_light_visible
 from device.bundles.calibration import BallRecord, CalibrationBundle, CalibrationRecord, PressRecord, RejectedRecord
 from device.bundles.fingerprint import Fingerprint, SettingsRecord
 from device.bundles.raw_frame import write_raw
 from device.calibration.fit import InverseFit, dropped_ball
-from device.errors import DeviceError
+from device.errors import DeviceError, StoreError
 from device.imaging.frame_light import Brightness
 from device.inverse_map.model import MODEL_FILE, read_model, write_model
 from device.inverse_map.skin_at_rest import SkinAtRest
@@ -62,6 +69,7 @@ def calibrate(
     HalError, FrameNotConfirmed, StoreError
         The hardware or the disk failed.
     """
+    check_room(hardware, store)
     plan = plan or CaptureSettings.of_board(hardware)
     guide = GuidedCalibration(hardware.profile, ball_radius_mm, last_calibration(hardware, store, plan))
     while guide.progress.phase in {"reference", "press"}:
@@ -77,6 +85,24 @@ def calibrate(
     if guide.progress.phase != "failed":  # its error says the same
         report_progress(guide.progress.instruction)
     return finish(hardware, store, plan, guide)
+
+
+def check_room(hardware: Hardware, store: BundleStore) -> None:
+    """Make room for every frame of a calibration as `BundleStore.make_room` does.
+
+    Raises
+    ------
+    StoreError
+        There is too little: the calibration is refused before its first frame.
+    """
+    rows, columns = hardware.camera.shape
+    size_bytes = int(BYTES_PER_PIXEL * rows * columns) * (1 + len(press_places()) + MAX_EXTRA)
+    if not store.scans_left(size_bytes):
+        store.make_room(size_bytes)
+    if not store.scans_left(size_bytes):
+        raise StoreError(
+            f"{store.root} has no room for a calibration ({size_bytes / 1e6:.0f} MB): offload scans or free space"
+        )
 
 
 def last_calibration(hardware: Hardware, store: BundleStore, plan: CaptureSettings) -> LastCalibration | None:

@@ -9,13 +9,14 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
+from device.acquisition.calibrate import check_room
 from device.acquisition.selftest import root_fault, selftest
-from device.errors import DeviceError
+from device.errors import DeviceError, StoreError
 from device.guidance.placement import Target
 from device.instrument.active_setup import ActiveSetup
 from device.instrument.button import LONG_PUSH_S, ButtonEvent, LongPressHandler
 from device.instrument.calibration_run import BalanceRun, CalibrationRun
-from device.instrument.events import ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
+from device.instrument.events import REFUSALS, ButtonPushed, Failed, Info, PowerOffRequested, SelfTested, show
 from device.instrument.health import EMPTY_FRACTION, EMPTY_READINGS, alarm_kinds, alarms
 from device.instrument.history import DeletedScans, ScanLabels
 from device.instrument.live import LiveLoop, focus_figure_of, skin_levels_of
@@ -157,6 +158,12 @@ class InstrumentWorker:
             return
         if by_button:
             self._pairing.close()
+        try:
+            check_room(self.hardware, self._store)
+        except StoreError as error:
+            self.states.publish(Failed(str(error)))
+            show(self.hardware, REFUSALS["full"])
+            return
         self._focus.stop()
         self._scans.forget_push()
         fitted, done = self._active.fitted(), self._end_run

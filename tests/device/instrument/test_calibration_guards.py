@@ -9,7 +9,9 @@ import pytest
 
 from device.acquisition.calibrate import calibrate
 from device.acquisition.guided_calibration import CalibrationProgress
-from device.errors import CalibrationError
+from device.errors import CalibrationError, StoreError
+from device.instrument.demo_faults import DemoDisk
+from device.instrument.events import Failed
 from device.instrument.instrument import Instrument
 from device.store.store import BundleStore
 from hal.board_profile import BoardProfile
@@ -134,3 +136,19 @@ def test_the_command_refuses_a_wrong_ball_by_its_measured_radius(hardware: Hardw
     with wrong, pytest.raises(CalibrationError, match=r"ball's radius is 2\.\d\d mm, not 3 mm"):
         calibrate(wrong, store, 3.0, lambda _: None)
     assert store.calibrations().bundles == ()
+
+
+def test_a_calibration_that_the_disk_has_no_room_for_is_refused_before_the_first_push(
+    hardware: Hardware, calibrated: BundleStore
+) -> None:
+    disk = DemoDisk(calibrated.root)
+    store = BundleStore(calibrated.root, hardware.clock, boot_id="b0075e1f", statvfs=disk)
+    disk.fill(on=True)
+    with Instrument(hardware, store) as instrument:
+        instrument.start_calibration(3.0)
+        instrument.step()
+        assert instrument.state.guide is None
+        failed = [event.sentence for event in instrument.take_events() if isinstance(event, Failed)]
+        assert any("no room for a calibration" in sentence for sentence in failed), failed
+    with pytest.raises(StoreError, match="no room for a calibration"):
+        calibrate(hardware, store, 3.0, lambda line: pytest.fail(f"something is asked for: {line}"))
