@@ -48,6 +48,7 @@ _PATTERNS: Final[tuple[tuple[str, Callable[[re.Match[str]], str]], ...]] = (
         r"Expected `str` matching regex '.*x1f.*'",
         lambda _: 'holds a line break or a tab, which "\\n" and "\\t" in a path make: write / in paths',
     ),
+    (r"Expected `str` matching regex '.*'", lambda _: "is not of the accepted form"),
     (
         r"Expected `str` of length (>=|<=) (\d+)",
         lambda m: f"is too {'short' if m[1] == '>=' else 'long'}; accepted is {_BOUNDS[m[1]]} {m[2]} characters",

@@ -119,11 +119,18 @@ def reconstruct(
     once
         With --watch: do the work that there is now, and end; exit code 1 means that a scan failed.
     """
-    if watch:
-        if out is not None or calibration is not None or cluster is not None or json or len(names) > (library is None):
-            raise FrameSetError("--watch is for a whole library: `reconstruct --library LIB --watch`")
-        return watch_library(library or (Path(names[0]) if names else None), recipe, workers, every_s, once=once)
     band = None if s_filter_um is None and l_filter_um is None else DetailBand(s_filter_um, l_filter_um)
+    order = Order(method, band, detail, force, [] if json else None, workers, cluster)
+    if watch:
+        plain = Order(None, None, "shrunk", force=False, facts=None, workers=workers, cluster=None)
+        if out is not None or calibration is not None or order != plain or len(names) > (library is None):
+            raise FrameSetError(
+                "--watch is for a whole library, with --workers, --recipe, --every-s and --once alone: "
+                "`reconstruct --library LIB --watch`"
+            )
+        return watch_library(library or (Path(names[0]) if names else None), recipe, workers, every_s, once=once)
+    if recipe is not None or once:
+        raise FrameSetError("--recipe and --once are for --watch: measure results with `retrosync measure`")
     if (out is None) == (library is None):
         raise FrameSetError("name either a frame set with --out DIR, or --library LIB")
     if library is None and workers is not None:
@@ -132,7 +139,6 @@ def reconstruct(
         raise FrameSetError(
             "--cluster is for the scans of a library, and has workers of its own: use it with --library LIB"
         )
-    order = Order(method, band, detail, force, [] if json else None, workers, cluster)
     with status_spinner() as report_progress:
         if library is not None:
             outcomes = _reconstruct_library(
@@ -200,6 +206,7 @@ def _reconstruct_library(
     failed = [ScanOutcome(bundle.directory.name, reason=bundle.reason) for bundle in damaged]
     if not scans and not failed:
         raise HostError(f"{library.root} holds no scans: pull some first")
+    check_output(library.root / "scans" / "result.json")
     with nullcontext() if order.cluster is None else connected(order.cluster) as client:
         return _reconstruct_scans(library, scans, failed, calibration, order, client, report_progress)
 

@@ -13,7 +13,7 @@ from typing import Annotated, Final, Protocol
 import msgspec
 
 from device.io.atomic import replace_file
-from hal.validation import decode_json
+from hal.validation import decode_json, explain_validation
 from host_sync.errors import LibraryError
 
 LABELS_FILE: Final = "labels.json"
@@ -109,7 +109,9 @@ def label_scan(
         try:
             new = msgspec.convert(given, Label)
         except msgspec.ValidationError as error:
-            raise LibraryError(f"{error}: tags are words without blanks and commas; names are short") from error
+            raise LibraryError(
+                f"{explain_validation(error)}: tags are words without blanks and commas; names are short"
+            ) from error
         scans = {**labels.scans, scan_id: new}
         if new == Label():
             del scans[scan_id]

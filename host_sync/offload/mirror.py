@@ -79,8 +79,8 @@ def mirror_to_folder(
         The destination cannot be written.
     """
     library.require()
-    if destination.resolve() == library.root.resolve():
-        raise HostError(f"{destination}: is the library itself: name another folder")
+    if destination.resolve().is_relative_to(library.root.resolve()):
+        raise HostError(f"{destination}: is the library itself, or inside it: name another folder")
     source = DirectorySource(library.root)
     report = pull(
         source, Library(destination), lambda state: report_progress(state.bundle_id), verify=verify, trust_record=True

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from limits import running
 
 from device.acquisition.capture import CaptureSettings, capture
 from device.acquisition.scanner import Scanner
-from device.bundles.scan import Annotations
+from device.bundles.scan import Annotations, ScanBundle
 from device.imaging.flat_field import demosaic
 from device.store.store import BundleStore
 from device.surface import HeightMap, surface_slopes
@@ -279,6 +280,11 @@ def test_bad_arguments_and_files_are_refused_in_one_sentence(
     assert "no-such.toml" in refusal(capsys, ["reconstruct", str(tmp_path / "no-such.toml"), *out])
     assert "frame set" in refusal(capsys, ["reconstruct", *out])
     assert "--out DIR, or --library" in refusal(capsys, ["reconstruct", str(path)])
+    assert "are for --watch" in refusal(capsys, ["reconstruct", str(path), *out, "--recipe", "recipe.toml"])
+    assert "are for --watch" in refusal(capsys, ["reconstruct", str(path), *out, "--once"])
+    for option in (["--force"], ["--detail", "raw"], ["--method", "direct"], ["--s-filter-um", "30"], ["--json"]):
+        sentence = refusal(capsys, ["reconstruct", "--watch", "--library", str(tmp_path), *option])
+        assert sentence.startswith("retrosync: --watch is for a whole library"), option
     assert "has no scan moon: name one of sphere" in refusal(capsys, ["reconstruct", str(path), "moon", *out])
     data = (path.parent / "press2.png").read_bytes()
     (path.parent / "press2.png").write_bytes(data[: len(data) // 2])
@@ -388,6 +394,17 @@ def test_the_same_work_again_gives_the_same_bits_and_changes_are_said(
     (same / "slope_p.tif").unlink()
     assert compare(same, folder) == ["slope_p.tif is missing in the stored results"]
     assert leftovers(root) == []
+
+
+def test_a_library_that_cannot_be_written_is_refused_before_any_work(
+    tmp_path: Path,
+    publish_scan: Callable[[BundleStore], ScanBundle],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    publish_scan(BundleStore(tmp_path, VirtualClock(), boot_id="b0071d00"))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert "is not yours to write" in refusal(capsys, ["reconstruct", "--library", str(tmp_path)])
 
 
 def test_an_empty_library_and_a_missing_card_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -246,6 +246,8 @@ def test_a_mirror_gets_what_it_lacks_and_repairs_the_library(library: Library, t
     ]
     with pytest.raises(HostError, match="is the library itself"):
         mirror_to_folder(library, library.root, lambda _: None)
+    with pytest.raises(HostError, match="or inside it"):
+        mirror_to_folder(library, library.root / "copy", lambda _: None)
 
 
 def test_an_address_of_a_mirror_is_read_or_refused() -> None:

@@ -114,7 +114,7 @@ def test_what_is_no_label_is_refused(
         served, served.keys()["valve"], b'{"name": "", "tags": ["two words"], "note": "", "loaded": {}}'
     )
     assert status == 400
-    assert "tags are words without blanks" in found["error"]
+    assert "tags[0]: is not of the accepted form: tags are words without blanks" in found["error"]
     assert read_labels(root).scans == {}
 
 
