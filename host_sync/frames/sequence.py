@@ -127,7 +127,7 @@ class FolderSequence:
     """Image files of a folder in natural order of their names: RGB images, or raw frames of a handheld."""
 
     def __init__(self, folder: Path) -> None:
-        self.rate_hz = _recorded_rate_hz(folder)
+        self._times_s = _recorded_times_s(folder)
         files = (entry for entry in folder.iterdir() if entry.suffix.lower() in SUFFIXES and entry.name[0] != ".")
         self._files = sorted(files, key=natural_order)
         if not self._files:
@@ -138,17 +138,25 @@ class FolderSequence:
         """Number of files."""
         return len(self._files)
 
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate of a recording; None of another folder."""
+        lasting_s = self._times_s[-1] - self._times_s[0] if len(self._times_s) > 1 else 0.0
+        return (len(self._times_s) - 1) / lasting_s if lasting_s > 0.0 else None
+
     def frames(self) -> Iterator[StoredFrame | BadFrame]:
         """Yield every file's frame."""
         first: dict[Path, ImageInfo] = {}
-        for path in self._files:
+        known = len(self._times_s) == self.count
+        for number, path in enumerate(self._files):
+            taken_ns = round(1e9 * self._times_s[number]) if known else None
             try:
                 info, pixels = _read_file(path)
                 check_one_orientation(first | {path: info})
                 first = first or {path: info}
-                yield StoredFrame(path.name, pixels)
+                yield StoredFrame(path.name, pixels, taken_ns=taken_ns)
             except (FrameSetError, RecordError) as error:
-                yield BadFrame(path.name, str(error))
+                yield BadFrame(path.name, str(error), taken_ns=taken_ns)
 
 
 class StackSequence:
@@ -236,14 +244,12 @@ class _Times(msgspec.Struct):
     times_s: list[float]
 
 
-def _recorded_rate_hz(folder: Path) -> float | None:
-    """Return the mean rate of a recording; None of another folder."""
+def _recorded_times_s(folder: Path) -> list[float]:
+    """Return when each frame of a recording was taken; empty of another folder."""
     try:
-        times_s = msgspec.json.decode((folder / TIMES_FILE).read_bytes(), type=_Times).times_s
+        return msgspec.json.decode((folder / TIMES_FILE).read_bytes(), type=_Times).times_s
     except (OSError, msgspec.DecodeError):
-        return None
-    lasting_s = times_s[-1] - times_s[0] if len(times_s) > 1 else 0.0
-    return (len(times_s) - 1) / lasting_s if lasting_s > 0.0 else None
+        return []
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
@@ -310,6 +316,7 @@ class BundleMovie:
         """Yield every frame."""
         for frame in self._frames:
             try:
-                yield StoredFrame(frame.file, unbin_mosaic(self._bundle.movie_frame(frame.file)))
+                pixels = unbin_mosaic(self._bundle.movie_frame(frame.file))
+                yield StoredFrame(frame.file, pixels, taken_ns=round(1e6 * frame.at_ms))
             except RecordError as error:
-                yield BadFrame(frame.file, str(error))
+                yield BadFrame(frame.file, str(error), taken_ns=round(1e6 * frame.at_ms))

@@ -48,7 +48,8 @@ class FrameOutcome:
 
     name: str
     statistics: FrameStatistics | None
-    reason: str | None = None
+    reason: str | None
+    time_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +169,13 @@ def _solve_all(
     contacts: list[ContactRow] = []
     writing: deque[Future[None]] = deque()
     slip = SlipTracker() if options.slip else None
+    began_ns: int | None = None
 
-    def write(solved: SolvedFrame) -> None:
+    def write(solved: SolvedFrame, time_s: float) -> None:
         stack.append(solved.height_um)
         if solved.statistics is not None:
             relief.add(HeightMap(solved.height_um, solver.pitch_um))
-        contacts.append(ContactRow.of(solved, solved.number / rate_hz, solver.pitch_um, slip))
+        contacts.append(ContactRow.of(solved, time_s, solver.pitch_um, slip))
 
     with (
         FrameStream(solver, sigma=options.sigma) as stream,
@@ -183,8 +185,13 @@ def _solve_all(
         for solved in stream.solve(_decode_ahead(sequence, reading)):
             if len(writing) == QUEUE_LENGTH:
                 writing.popleft().result()
-            outcomes.append(FrameOutcome(solved.name, solved.statistics, solved.reason))
-            writing.append(disk.submit(write, solved))
+            taken_ns = solved.frame.taken_ns
+            time_s = solved.number / rate_hz
+            if taken_ns is not None and options.rate_hz is None:
+                began_ns = taken_ns if began_ns is None else began_ns
+                time_s = (taken_ns - began_ns) * 1e-9
+            outcomes.append(FrameOutcome(solved.name, solved.statistics, solved.reason, time_s))
+            writing.append(disk.submit(write, solved, time_s))
             progress("heights", len(outcomes), sequence.count)
         for job in writing:
             job.result()
@@ -230,18 +237,18 @@ def sequence_record(
         sequence=options.sequence,
         calibration=options.calibration,
         doubts=report.doubts,
-        frames=tuple(_frame_record(page, outcome, report.rate_hz) for page, outcome in enumerate(report.outcomes)),
+        frames=tuple(_frame_record(page, outcome) for page, outcome in enumerate(report.outcomes)),
     )
 
 
-def _frame_record(page: int, outcome: FrameOutcome, rate_hz: float) -> SequenceFrame:
+def _frame_record(page: int, outcome: FrameOutcome) -> SequenceFrame:
     figures = outcome.statistics
     if figures is None:
-        return SequenceFrame(page=page, name=outcome.name, time_s=page / rate_hz, failed=outcome.reason or "")
+        return SequenceFrame(page=page, name=outcome.name, time_s=outcome.time_s, failed=outcome.reason or "")
     return SequenceFrame(
         page=page,
         name=outcome.name,
-        time_s=page / rate_hz,
+        time_s=outcome.time_s,
         contact_share=figures.contact_fraction,
         clipped_share=figures.clipped_fraction,
         masked_share=figures.masked_fraction,

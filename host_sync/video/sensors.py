@@ -363,15 +363,21 @@ class Recorder:
                 if self._closing.is_set():
                     break
                 continue
+            name = f"frame-{self._count + 1:06d}"
             try:
-                _write(folder / f"frame-{self._count + 1:06d}", frame)
+                _write(folder / name, frame)
             except OSError as error:
+                for partial in folder.glob(f"{name}.*"):
+                    partial.unlink()
                 self._problem = f"{folder} cannot be written ({error.strerror}): free space, then record again"
                 self._folder = None
                 break
             self._count += 1
             self._times_ns.append(taken_ns)
-        _write_times(folder, self._times_ns, self._lost, self._calibration)
+        try:
+            _write_times(folder, self._times_ns, self._lost, self._calibration)
+        except OSError as error:
+            self._problem = f"{folder / TIMES_FILE} cannot be written ({error.strerror}): free space, then record again"
 
 
 def _write(path: Path, frame: StoredFrame) -> None:

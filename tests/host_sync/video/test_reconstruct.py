@@ -99,6 +99,19 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_frames_that_came_late_keep_the_time_at_which_they_were_taken(tmp_path: Path) -> None:
+    late = [replace(frame, taken_ns=10**9 * at_s) for frame, at_s in zip(press(), (5, 6, 16, 17), strict=True)]
+    for options, expected in (
+        (SequenceOptions("x"), [0.0, 1.0, 11.0, 12.0]),
+        (SequenceOptions("x", 2.0), [0, 0.5, 1, 1.5]),
+    ):
+        reconstruct_sequence(Played(*late), calibration(), solver(), tmp_path / "out", options)
+        written = json.loads((tmp_path / "out" / "result.json").read_text())
+        assert [frame["time_s"] for frame in written["frames"]] == expected
+        rows = (tmp_path / "out" / "contact.csv").read_text().splitlines()[1:]
+        assert [float(row.split(",")[1]) for row in rows] == expected
+
+
 def test_every_page_is_its_frames_height_and_bad_frames_keep_their_time(result: Path) -> None:
     heights = tifffile.imread(result / "heights_um.tif")
     assert heights.dtype == np.float32

@@ -151,6 +151,31 @@ def test_a_recording_is_a_sequence_at_its_own_rate(tmp_path: Path) -> None:
     assert sequence.rate_hz == pytest.approx(25.0)
     assert [int(frame.pixels[0, 0, 0]) for frame in sequence.frames()] == [0, 1, 2]
     assert json.loads((folder / "times.json").read_text())["calibration"] == "gel.calibration"
+    assert [frame.taken_ns for frame in sequence.frames()] == [0, 40_000_000, 80_000_000]
+    (folder / "frame-000002.png").unlink()
+    assert {frame.taken_ns for frame in open_sequence(folder).frames()} == {None}
+
+
+def test_a_disk_that_fills_while_it_records_leaves_no_torn_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fill(path: Path, _: StoredFrame) -> None:
+        path.with_suffix(".png").write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("host_sync.video.sensors._write", fill)
+    monkeypatch.setattr("host_sync.video.sensors._write_times", full)
+    recorder = Recorder(tmp_path)
+    recorder.record()
+    thread = recorder._thread
+    recorder.take(picture(1))
+    assert thread is not None
+    thread.join(timeout=10.0)
+    assert "No space left on device" in str(recorder.state()["problem"])
+    assert list(tmp_path.rglob("*.png")) == []
 
 
 def test_a_frame_that_came_while_a_recording_ended_is_not_of_the_next(tmp_path: Path) -> None:
