@@ -67,6 +67,9 @@ class Still:
         if self.range_um is not None and not self.range_um[0] < self.range_um[1]:
             raise RenderError("the range of colours must rise: give the lower height first")
         view = self.viewpoint
+        angles_deg = (self.light_azimuth_deg, 0.0 if view is None else view.azimuth_deg)
+        if not np.isfinite((*angles_deg, *(self.range_um or ()))).all():
+            raise RenderError("azimuths and the range of colours must be numbers: choose finite ones")
         if view is not None and not (0.0 < view.elevation_deg <= 90.0 and 0.0 <= view.field_deg <= 120.0):
             raise RenderError(
                 "the viewpoint must be above the surface: choose an elevation up to 90 and a field of at most 120"

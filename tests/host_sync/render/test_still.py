@@ -125,6 +125,9 @@ def test_a_contact_sheet_has_room_for_all() -> None:
         {"exaggeration": float("nan")},
         {"viewpoint": Viewpoint(elevation_deg=-5.0)},
         {"viewpoint": Viewpoint(field_deg=170.0)},
+        {"light_azimuth_deg": np.nan},
+        {"viewpoint": Viewpoint(azimuth_deg=np.nan)},
+        {"range_um": (-np.inf, np.inf)},
     ],
 )
 def test_what_no_picture_can_be_is_refused(change: dict[str, object]) -> None:
