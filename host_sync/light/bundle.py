@@ -39,11 +39,11 @@ PRIOR_SAMPLES: Final = 300.0
 FIRST_HEIGHT: Final = 0.3
 """Height of a source's own, relative to its elevation, from which the search begins."""
 FIXED: Final = 1e-9
-"""Prior standard deviation of numbers that are 0."""
+"""Prior standard deviation of numbers that are known."""
 GENTLE: Final = 0.35
 """Slopes up to which samples place the first sources."""
-ROUNDS: Final = 25
-TOLERANCE: Final = 1e-4
+ROUNDS: Final = 60
+TOLERANCE: Final = 1e-5
 DAMPINGS: Final = 8
 CENTRE_STEP_PX: Final = 0.05
 _OF_SOURCES: Final = ("place", "extent", "strength", "haze", "albedo", "coat")
@@ -54,6 +54,8 @@ class Bundle:
     """Samples whose intensity a model predicts; lengths in pixels but for x and y.
 
     rows : numbers of the samples among all
+    coat : its expected numbers, in the order of `COAT`, and their prior standard deviations: that of the camera is
+        `FIXED` where its height is known
     incoming : light from around over that at rest, shape (N, C)
     sigma : float64 array of shape (C,), standard deviation of the intensity's error
     steepest : slope up to which the samples are dense
@@ -72,7 +74,7 @@ class Bundle:
     balls: Sequence[Ball]
     apex_px: Float64Array
     shape: tuple[int, int]
-    camera: float
+    coat: tuple[Float64Array, Float64Array]
     incoming: Float64Array
     places: Float64Array
     sigma: Float64Array
@@ -93,10 +95,13 @@ class Bundle:
         tilted = 1.0 - 1.0 / np.sqrt(1.0 + samples.p[rows] ** 2 + samples.q[rows] ** 2)
         floor = np.repeat(0.5 * tilted[:, None].astype(np.float64), seen.shape[1], axis=1)
         viewpoint = balls[0].viewpoint
-        camera = 0.0 if viewpoint is None else shape[1] / viewpoint.height_px
+        coat, coat_sigma = COAT_START.copy(), COAT_SIGMA.copy()
+        if viewpoint is not None:
+            camera = COAT.index("camera")
+            coat[camera], coat_sigma[camera] = shape[1] / viewpoint.height_px, FIXED
         return cls(
-            rows, seen, column, row, x, y, samples.ball[rows], balls, np.array(apexes_px), shape, camera, floor,
-            place_terms(x, y, shape), np.full(seen.shape[1], FIRST_SIGMA),
+            rows, seen, column, row, x, y, samples.ball[rows], balls, np.array(apexes_px), shape, (coat, coat_sigma),
+            floor, place_terms(x, y, shape), np.full(seen.shape[1], FIRST_SIGMA),
             float(np.quantile(np.hypot(samples.p, samples.q), STEEPEST_QUANTILE)),
         )  # fmt: skip
 
@@ -129,18 +134,18 @@ class Bundle:
             0.9 * np.eye(channels) + 0.1 / channels,
             np.full(channels, 0.01),
             np.array([0.3]),
-            COAT_START.copy(),
+            self.coat[0].copy(),
             np.zeros((len(self.balls), 2)),
             np.zeros((channels, TERMS * PLACES)),
         )
 
     def model(self, numbers: Numbers) -> LightModel:
         """Return the model of these numbers."""
-        fall_off, roughness, gloss, width, tail, tilt_gain, beam = numbers.coat.tolist()
+        fall_off, roughness, gloss, width, tail, tilt_gain, beam, camera, scattering = numbers.coat.tolist()
         residual = numbers.residual.reshape(len(numbers.haze), TERMS, PLACES)
         return LightModel(
             self.shape, numbers.sources, numbers.strength, numbers.haze, float(numbers.albedo[0]), fall_off, roughness,
-            gloss, float(np.exp(width)), float(np.exp(tail)), tilt_gain, beam, self.camera, residual, self.sigma,
+            gloss, float(np.exp(width)), float(np.exp(tail)), tilt_gain, beam, camera, scattering, residual, self.sigma,
             self.sigma, self.steepest,
         )  # fmt: skip
 
@@ -224,13 +229,13 @@ class Bundle:
             residual[:, -1] = FIXED
         expected = replace(
             numbers, extent=np.full_like(numbers.extent, 0.2), haze=np.zeros_like(numbers.haze),
-            albedo=np.array([0.4]), coat=COAT_START, shift=np.zeros_like(numbers.shift),
+            albedo=np.array([0.4]), coat=self.coat[0], shift=np.zeros_like(numbers.shift),
             residual=np.zeros_like(numbers.residual),
         )  # fmt: skip
         sigmas = replace(
             numbers, place=np.full_like(numbers.place, 10.0), extent=np.full_like(numbers.extent, 0.5),
             strength=np.ones_like(numbers.strength), haze=np.full_like(numbers.haze, 0.05), albedo=np.array([0.5]),
-            coat=COAT_SIGMA, shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
+            coat=self.coat[1], shift=np.repeat(CENTRE_SIGMA * radius[:, None], 2, axis=1) * np.sqrt(weight),
             residual=residual.reshape(numbers.residual.shape),
         )  # fmt: skip
         return expected.packed(), weight / sigmas.packed() ** 2
@@ -322,8 +327,8 @@ class Bundle:
         channels = len(numbers.haze)
         return replace(
             numbers, place=np.zeros((0, 3)), extent=np.zeros((0, 2)), strength=np.zeros((channels, 0)),
-            haze=np.ones(channels), albedo=np.zeros(1), coat=COAT_START.copy(),
-            residual=np.zeros_like(numbers.residual),
+            haze=np.ones(channels), albedo=np.zeros(1), coat=self.coat[0].copy(),
+            shift=np.zeros_like(numbers.shift), residual=np.zeros_like(numbers.residual),
         )  # fmt: skip
 
 

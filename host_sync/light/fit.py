@@ -104,20 +104,11 @@ def fit_light(
     bundle = replace(bundle, incoming=incoming(model)[bundle.rows])
     bundle = bundle.with_sigma_of(found)
     found = bundle.solve(found)
-    held_out = bundle.held_out(found)
-    for _ in range(MAX_ADDED):
-        more = bundle.solve(with_source(bundle, found))
-        again = bundle.held_out(more)
-        if again > MIN_GAIN * held_out:
-            break
-        found, held_out = more, again
-        bundle = bundle.with_sigma_of(found)
-        held_out = bundle.held_out(found)
-    source_sigma = bundle.held_out_sigma(found)
-    plain, polynomial = _with_residual(bundle, bundle.without_sources(found))
-    bundle, found = _with_residual(bundle, found)
-    is_better = bundle.held_out(found) <= MIN_GAIN ** len(found.place) * plain.held_out(polynomial)
-    if not (is_better and bundle.model(found).lights_field):
+    if _sources_predict(bundle, found):
+        bundle, found = _with_more_sources(bundle, found)
+        source_sigma = bundle.held_out_sigma(found)
+        bundle, found = _with_residual(bundle, found)
+    else:
         # A ball shows each tilt at one elevation: without sources, the two cannot be separated.
         source_sigma = np.sqrt(np.square(bundle.intensity - 1.0).mean(axis=0))
         bundle, found = _with_residual(bundle, bundle.without_sources(found), "normals")
@@ -129,17 +120,40 @@ def fit_light(
     return FittedLight(model, tuple(folds), found.shift)
 
 
+def _sources_predict(bundle: Bundle, numbers: Numbers) -> bool:
+    """Return whether sources predict held-out balls better than the residual field alone does, for what they cost."""
+    (plain, polynomial), (fitted, found) = (
+        _with_residual(bundle, these) for these in (bundle.without_sources(numbers), numbers)
+    )
+    is_better = fitted.held_out(found) <= MIN_GAIN ** len(found.place) * plain.held_out(polynomial)
+    return is_better and bundle.model(numbers).lights_field
+
+
+def _with_more_sources(bundle: Bundle, found: Numbers) -> tuple[Bundle, Numbers]:
+    """Return the fit with as many sources as pay for themselves on held-out balls."""
+    held_out = bundle.held_out(found)
+    for _ in range(MAX_ADDED):
+        more = bundle.solve(with_source(bundle, found))
+        again = bundle.held_out(more)
+        if again > MIN_GAIN ** len(found.haze) * held_out or not bundle.model(more).lights_field:
+            break
+        bundle = bundle.with_sigma_of(more)
+        found, held_out = more, bundle.held_out(more)
+    return bundle, found
+
+
 def _with_residual(
     bundle: Bundle, numbers: Numbers, stage: Literal["residual", "normals"] = "residual"
 ) -> tuple[Bundle, Numbers]:
     """Return the fit with a residual field over fixed sources, of the narrowest prior that no wider one beats."""
     best, least = (bundle, numbers), np.inf
     for sigma in RESIDUAL_SIGMAS:
+        # From the same numbers each time: a narrow field moves the balls' centres far off.
         wider = replace(bundle, residual_sigma=sigma, stage=stage)
-        numbers = wider.solve(numbers)
-        held_out = wider.held_out(numbers)
+        found = wider.solve(numbers)
+        held_out = wider.held_out(found)
         if held_out < MIN_GAIN * least:
-            best, least = (wider, numbers), held_out
+            best, least = (wider, found), held_out
     return best
 
 

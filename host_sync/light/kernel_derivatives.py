@@ -17,8 +17,8 @@ from host_sync.kernels.parallel_rows import parallel_rows
 from host_sync.light.kernels import GRAZING, to_camera
 from host_sync.light.model import POINTS, LightModel, source_points
 
-COAT_TERMS: Final = 8
-"""Numbers of `LightModel.coat` that the light depends on; the last one, the camera's, is given."""
+COAT_TERMS: Final = 10
+"""Numbers of `LightModel.coat`."""
 
 EXTENT: Final = 5
 """Numbers of a source's place and extent."""
@@ -65,12 +65,14 @@ def write_light_derivatives(
     by_source : receives derivatives by these numbers, shape (N, S, K)
     by_coat : receives derivatives by numbers of the coat at fixed points, shape (N, S, COAT_TERMS)
     """
-    by_point, by_axis, shine = np.empty(4), np.empty(3), np.empty(8)
+    by_point, by_axis, shine = np.empty(4), np.empty(3), np.empty(10)
     for i in range(first, last):
         v0, v1, v2 = to_camera(coat[8], x[i], y[i], z[i])
+        c0, c1, c2 = to_camera_change(coat[8], x[i], y[i], z[i])
         up = 1.0 / np.sqrt(1.0 + p[i] * p[i] + q[i] * q[i])
         n0, n1 = -p[i] * up, -q[i] * up
         seen = max(n0 * v0 + n1 * v1 + up * v2, GRAZING)
+        seen_change = n0 * c0 + n1 * c1 + up * c2 if seen > GRAZING else 0.0
         tilted = 1.0 + coat[6] * (1.0 - up)
         for source in range(points.shape[0]):
             by_source[i, source] = 0.0
@@ -107,27 +109,47 @@ def write_light_derivatives(
                         by_source[i, source, k] += by_point[j] * moved[source, point, j, k]
                 by_coat[i, source, 0] -= 0.5 * np.log(square) * shining * reflected
                 for j in range(1, 6):
-                    by_coat[i, source, j] += shining * shine[2 + j]
+                    by_coat[i, source, j] += shining * shine[3 + j]
                 by_coat[i, source, 6] += (1.0 - up) / tilted * shining * reflected
                 by_coat[i, source, 7] += power * (facing - 1.0) * reflected
+                between_change = l0 * c0 + l1 * c1 + l2 * c2
+                by_coat[i, source, 8] += shining * (by_between * between_change + shine[3] * seen_change)
+                by_coat[i, source, 9] += shining * shine[9]
             for k in range(turned.shape[2]):
                 for j in range(3):
                     by_source[i, source, k] += by_axis[j] * turned[source, j, k]
 
 
 @njit(cache=True, error_model="numpy")
+def to_camera_change(camera: Any, x: Any, y: Any, z: Any) -> Any:
+    """Return the derivative of `to_camera` by one over the camera's height."""
+    v0, v1, v2 = to_camera(camera, x, y, z)
+    along = -(v0 * x + v1 * y + v2 * z)
+    length = np.sqrt((camera * x) ** 2 + (camera * y) ** 2 + (1.0 - camera * z) ** 2)
+    return (-x - along * v0) / length, (-y - along * v1) / length, (-z - along * v2) / length
+
+
+@njit(cache=True, error_model="numpy")
 def write_reflected(lit: Any, seen: Any, between: Any, coat: Any, out: Any) -> None:
-    """Write the reflected share of a ray, and its derivatives by `lit`, `between` and the coat's numbers 1 to 5.
+    """Write the reflected share of a ray, and its derivatives.
+
+    The derivatives are by `lit`, `between` and `seen`, and by the coat's numbers 1 to 5 and 9.
 
     lit, seen, between, coat : see `kernels.reflected`
     """
-    even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
+    even, uneven, gloss, narrow, tail, scattering = coat[1], coat[2], coat[3], coat[4], coat[5], coat[9]
     excess, largest = between - lit * seen, max(max(lit, seen), GRAZING)
     together = max(excess, 0.0) / largest
     steeper = -(seen + (excess / largest if lit >= largest else 0.0)) / largest if excess > 0.0 else 0.0
     rough = lit * (even + uneven * together)
     rough_by_lit = even + uneven * (together + lit * steeper)
     rough_by_between = lit * uneven / largest if excess > 0.0 else 0.0
+    rough_by_seen = -lit * uneven * (lit + (excess / largest if seen > lit else 0.0)) / largest if excess > 0.0 else 0.0
+    both, unscattered = lit + seen, 1.0 - scattering
+    scattered = 2.0 * lit / both
+    matt = unscattered * rough + scattering * scattered
+    matt_by_lit = unscattered * rough_by_lit + scattering * 2.0 * seen / (both * both)
+    matt_by_seen = unscattered * rough_by_seen - scattering * 2.0 * lit / (both * both)
 
     wide = np.sqrt(2.0 + 2.0 * between)
     half = min((lit + seen) / wide, 1.0)
@@ -139,32 +161,35 @@ def write_reflected(lit: Any, seen: Any, between: Any, coat: Any, out: Any) -> N
     root_lit = np.sqrt(narrow + (1.0 - narrow) * lit * lit)
     root_seen = np.sqrt(narrow + (1.0 - narrow) * seen * seen)
     whole_lit, whole_seen = lit + root_lit + 1e-9, seen + root_seen + 1e-9
-    masked_seen = 2.0 * seen / whole_seen / max(4.0 * seen, GRAZING)
+    masked_seen = 0.5 / whole_seen
     lobe = facets * masked_seen
     shining = lobe * 2.0 * lit / whole_lit
     shining_by_half = -2.0 * half * ratio * by_off * shining
     unmasking = 2.0 / whole_lit - 2.0 * lit / whole_lit**2 * (1.0 + (1.0 - narrow) * lit / root_lit)
+    unmasking_seen = -(1.0 + (1.0 - narrow) * seen / root_seen) / whole_seen
     by_narrow = -by_off * 2.0 * (1.0 - half * half) / (narrow * narrow * tail) - 1.0 / narrow
     by_narrow -= 0.5 * (1.0 - lit * lit) / (root_lit * whole_lit)
     by_narrow -= 0.5 * (1.0 - seen * seen) / (root_seen * whole_seen)
 
-    out[0] = (1.0 - gloss) * rough + gloss * shining
-    out[1] = (1.0 - gloss) * rough_by_lit + gloss * (shining_by_half * half_by_lit + lobe * unmasking)
-    out[2] = (1.0 - gloss) * rough_by_between + gloss * shining_by_half * half_by_between
-    out[3] = (1.0 - gloss) * lit
-    out[4] = (1.0 - gloss) * lit * together
-    out[5] = shining - rough
-    out[6] = gloss * by_narrow * shining
-    out[7] = gloss * shining * (-np.log(1.0 + off) - by_off * off / tail)
+    out[0] = (1.0 - gloss) * matt + gloss * shining
+    out[1] = (1.0 - gloss) * matt_by_lit + gloss * (shining_by_half * half_by_lit + lobe * unmasking)
+    out[2] = (1.0 - gloss) * unscattered * rough_by_between + gloss * shining_by_half * half_by_between
+    out[3] = (1.0 - gloss) * matt_by_seen + gloss * (shining_by_half * half_by_lit + shining * unmasking_seen)
+    out[4] = (1.0 - gloss) * unscattered * lit
+    out[5] = (1.0 - gloss) * unscattered * lit * together
+    out[6] = shining - matt
+    out[7] = gloss * by_narrow * shining
+    out[8] = gloss * shining * (-np.log(1.0 + off) - by_off * off / tail)
+    out[9] = (1.0 - gloss) * (scattered - rough)
 
 
 # Numbers of a light model that a bundle adjustment searches for, and what they may be.
 
-COAT: Final = ("fall_off", "roughness", "gloss", "log_width", "log_tail", "tilt_gain", "beam")
-COAT_START: Final = np.array([2.0, 0.3, 0.1, np.log(0.35), np.log(2.0), 0.0, 0.2])
-COAT_SIGMA: Final = np.array([1.0, 0.5, 0.3, 0.5, 1.0, 0.15, 0.5])
-_COAT_LOW: Final = np.array([0.0, 0.0, 0.0, np.log(0.08), 0.0, -0.9, 0.0])
-_COAT_HIGH: Final = np.array([4.0, 1.0, 0.95, np.log(0.8), np.log(60.0), 2.0, 1.0])
+COAT: Final = ("fall_off", "roughness", "gloss", "log_width", "log_tail", "tilt_gain", "beam", "camera", "scattering")
+COAT_START: Final = np.array([2.0, 0.3, 0.1, np.log(0.35), np.log(2.0), 0.0, 0.2, 0.3, 0.1])
+COAT_SIGMA: Final = np.array([1.0, 0.5, 0.3, 0.5, 1.0, 0.15, 0.5, 0.3, 0.3])
+_COAT_LOW: Final = np.array([0.0, 0.0, 0.0, np.log(0.08), 0.0, -0.9, 0.0, 0.0, 0.0])
+_COAT_HIGH: Final = np.array([4.0, 1.0, 0.95, np.log(0.8), np.log(60.0), 2.0, 1.0, 4.0, 1.0])
 _LOW_UP: Final = np.log(0.04)
 _HIGH_UP: Final = np.log(5.0)
 _FARTHEST: Final = 4.0
@@ -218,11 +243,11 @@ class Numbers:
 
     @property
     def coat_change(self) -> Float64Array:
-        """Derivatives of `LightModel.coat`, but the camera's, by the coat's numbers: shape (8, 7)."""
+        """Derivatives of `LightModel.coat` by the coat's numbers: shape (10, 9)."""
         roughness, width, tail = self.coat[1], np.exp(2.0 * self.coat[3]), np.exp(self.coat[4])
         square = roughness**2
         change = np.zeros((len(self.coat) + 1, len(self.coat)))
-        change[0, 0] = change[3, 2] = change[6, 5] = change[7, 6] = 1.0
+        change[0, 0] = change[3, 2] = change[6, 5] = change[7, 6] = change[8, 7] = change[9, 8] = 1.0
         change[1, 1] = -0.33 * roughness / (square + 0.33) ** 2
         change[2, 1] = 0.081 * roughness / (square + 0.09) ** 2
         change[4, 3], change[5, 4] = 2.0 * width, tail

@@ -75,15 +75,16 @@ def reflected(lit: Any, seen: Any, between: Any, coat: Any) -> Any:
     even, uneven, gloss, narrow, tail = coat[1], coat[2], coat[3], coat[4], coat[5]
     together = max(between - lit * seen, 0.0) / max(max(lit, seen), GRAZING)
     rough = lit * (even + uneven * together)
+    matt = rough + coat[9] * (2.0 * lit / (lit + seen) - rough)
     if gloss == 0.0:
-        return rough
+        return matt
     half = min((lit + seen) / np.sqrt(2.0 + 2.0 * between), 1.0)
     off = (1.0 - half * half) * 2.0 * (1.0 / narrow - 1.0) / tail
     facets = (1.0 + off) ** -tail / (np.pi * narrow)
     unmasked = 2.0 * lit / (lit + np.sqrt(narrow + (1.0 - narrow) * lit * lit) + 1e-9)
     unmasked *= 2.0 * seen / (seen + np.sqrt(narrow + (1.0 - narrow) * seen * seen) + 1e-9)
     shining = facets * unmasked / max(4.0 * seen, GRAZING)
-    return (1.0 - gloss) * rough + gloss * shining
+    return (1.0 - gloss) * matt + gloss * shining
 
 
 @njit(cache=True, error_model="numpy")
@@ -102,8 +103,12 @@ def reflected_changes(lit: Any, seen: Any, between: Any, unmasked: Any, by_unmas
         by_seen = -(lit + (0.0 if lit >= seen else together)) / largest
     rough, rough_by_seen = lit * (even + uneven * together), lit * uneven * by_seen
     rough_by_lit = even + uneven * together + lit * uneven * by_lit
+    both, scattering = lit + seen, coat[9]
+    matt = rough + scattering * (2.0 * lit / both - rough)
+    matt_by_lit = rough_by_lit + scattering * (2.0 * seen / (both * both) - rough_by_lit)
+    matt_by_seen = rough_by_seen - scattering * (2.0 * lit / (both * both) + rough_by_seen)
     if gloss == 0.0:
-        return rough, rough_by_lit, rough_by_seen
+        return matt, matt_by_lit, matt_by_seen
     wide = np.sqrt(2.0 + 2.0 * between)
     half, by_half = (lit + seen) / wide, 1.0 / wide
     if half > 1.0:
@@ -118,9 +123,9 @@ def reflected_changes(lit: Any, seen: Any, between: Any, unmasked: Any, by_unmas
     shining = facets * arriving * unmasked
     turning = shining * 2.0 * tail * half * ratio / spread * by_half
     return (
-        (1.0 - gloss) * rough + gloss * shining,
-        (1.0 - gloss) * rough_by_lit + gloss * (turning + facets * by_arriving * unmasked),
-        (1.0 - gloss) * rough_by_seen + gloss * (turning + facets * arriving * by_unmasked),
+        (1.0 - gloss) * matt + gloss * shining,
+        (1.0 - gloss) * matt_by_lit + gloss * (turning + facets * by_arriving * unmasked),
+        (1.0 - gloss) * matt_by_seen + gloss * (turning + facets * arriving * by_unmasked),
     )
 
 

@@ -1,10 +1,11 @@
 """Forward model of a gel sensor: the intensity of every channel by slope, place and elevation of the skin.
 
 The light of a few upright panels falls on a rough coat (Oren and Nayar, "Generalization of Lambert's reflectance
-model", SIGGRAPH 1994) with a glossy lobe (Walter et al., "Microfacet models for refraction through rough surfaces",
-EGSR 2007). Skin around a place adds one bounce (`kernels.incoming_light`). What sources cannot describe is a polynomial
-in the normal and in elevation whose coefficients vary over the field; it is zero on level skin at rest. Intensity is
-divided by that of skin at rest, so that neither vignetting nor the brightness of a source matters.
+model", SIGGRAPH 1994) that scatters a part of it below its surface, with a glossy lobe (Walter et al., "Microfacet
+models for refraction through rough surfaces", EGSR 2007), under a camera at a finite height. Skin around a place adds
+one bounce (`kernels.incoming_light`). What sources cannot describe is a polynomial in the normal and in elevation whose
+coefficients vary over the field; it is zero on level skin at rest. Intensity is divided by that of skin at rest, so
+that neither vignetting nor the brightness of a source matters.
 """
 
 from __future__ import annotations
@@ -63,6 +64,8 @@ class LightModel:
     tilt_gain : relative gain of intensity with 1 - cos(tilt)
     beam : fraction of a source's light that follows the cosine from its axis, which meets the middle of the field
     camera : one over the camera's height over the middle of the field; 0 for a distant camera
+    scattering : fraction of matt reflection by single scattering below the surface, in proportion to the cosine to the
+        light over the sum of the cosines to light and camera (Seeliger, 1888)
     residual : float64 array of shape (C, terms, places)
     sigma, source_sigma : float64 arrays of shape (C,), root mean square errors of the intensity on held-out balls, and
         those without the residual field
@@ -82,6 +85,7 @@ class LightModel:
     tilt_gain: float
     beam: float
     camera: float
+    scattering: float
     residual: Float64Array
     sigma: Float64Array
     source_sigma: Float64Array
@@ -218,11 +222,15 @@ class LightModel:
 
     @cached_property
     def coat(self) -> Float64Array:
-        """Fall-off, even and uneven part of the rough coat, gloss, squared width, tail, tilt gain, beam and camera."""
+        """Numbers of the coat as kernels read them: shape (10,).
+
+        They are fall-off, even and uneven part of the rough coat, gloss, squared width, tail, tilt gain, beam, camera
+        and scattering.
+        """
         square = self.roughness**2
         even, uneven = 1.0 - 0.5 * square / (square + 0.33), 0.45 * square / (square + 0.09)
         shine = (self.gloss, self.gloss_width**2, self.tail)
-        return np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera])
+        return np.array([self.fall_off, even, uneven, *shine, self.tilt_gain, self.beam, self.camera, self.scattering])
 
 
 def source_points(sources: Float64Array, fall_off: float) -> tuple[Float64Array, Float64Array]:

@@ -36,6 +36,7 @@ def matt_model(height_px: float, sigma: float = 0.004) -> LightModel:
         gloss_width=0.3,
         tail=2.0,
         tilt_gain=0.0,
+        scattering=0.0,
         beam=0.0,
         camera=0.0,
         residual=np.zeros((3, TERMS, PLACES)),

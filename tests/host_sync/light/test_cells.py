@@ -25,6 +25,7 @@ FULL = replace(
     roughness=0.4,
     gloss=0.15,
     tilt_gain=0.1,
+    scattering=0.2,
     beam=0.4,
     camera=0.2,
     residual=RANDOM.normal(0.0, 0.004, MATT.residual.shape),

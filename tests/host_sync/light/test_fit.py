@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 from matt_light import lamp_places
 from near_lamps import SHAPE, NearLamps, balls, press_px
 
-from device.balls.sphere import Ball, gather_samples, pixels_inside, sphere_slopes
+from device.balls.sphere import Ball, Viewpoint, gather_samples, pixels_inside, sphere_slopes
 from device.imaging.flat_field import NormalizedImage
 from host_sync.light.bundle import Bundle
 from host_sync.light.fit import FittedLight, fit_light
@@ -66,6 +66,47 @@ def near_lamps() -> FittedLight:
 @cache
 def other_light() -> FittedLight:
     return fitted([unlike_lamps(ball, seed) for seed, (ball, _) in enumerate(TRUE)])
+
+
+@dataclass(frozen=True)
+class ShinyLamps(NearLamps):
+    """Lamps over skin with a lobe about the half vector (Blinn, 1977), under a camera one width of the field away."""
+
+    def light(self, z_px: np.ndarray, p: np.ndarray, q: np.ndarray, *, seen_at: float = 1.0) -> np.ndarray:
+        matt = super().light(z_px, p, q, seen_at=seen_at)
+        row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+        here = np.stack([column - 0.5 * (SHAPE[1] - 1), row - 0.5 * (SHAPE[0] - 1), z_px], axis=-1)
+        normal = unit(np.stack([-p, -q, np.ones_like(p)], axis=-1))
+        to_camera = unit(np.array([0.0, 0.0, SHAPE[1]]) - here)
+        lobes = [
+            np.maximum((unit(unit(SHAPE[1] * lamp - here) + to_camera) * normal).sum(axis=-1), 0.0) ** 12
+            for lamp in lamp_places(self.height_px)
+        ]
+        return np.asarray(matt * (1.0 + 1.5 * np.stack(lobes, axis=-1)))
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def test_shiny_balls_show_how_near_the_camera_is() -> None:
+    lamps = ShinyLamps(HEIGHT_PX)
+    images = [lamps.intensity(press_px(*one), noise=NOISE, seed=seed) for seed, one in enumerate(TRUE)]
+    light = fitted(images)
+    assert light.has_sources
+    assert 0.7 < light.model.camera < 1.4
+    error = error_on(light.model, lamps.intensity(press_px(NEW, 16.0)), NEW, 16.0)
+    assert (error < 2.0 * light.model.sigma).all()
+
+
+def test_a_known_height_of_the_camera_is_kept() -> None:
+    viewpoint = Viewpoint(0.5 * SHAPE[1], 0.5 * SHAPE[0], 2.0 * SHAPE[1])
+    known = [replace(ball, viewpoint=viewpoint) for ball in MOVED]
+    images = [rendered(ball, apex, seed) for seed, (ball, apex) in enumerate(TRUE)]
+    samples = gather_samples(((image, [ball]) for image, ball in zip(images, known, strict=True)), for_fit=True)
+    bundle = Bundle.of(samples, known, APEXES, SHAPE)
+    found = bundle.solve(bundle.start(0.35, 0.45, None))
+    assert bundle.model(found).camera == pytest.approx(0.5, abs=1e-6)
 
 
 def error_on(model: LightModel, image: NormalizedImage, ball: Ball, apex_px: float) -> np.ndarray:

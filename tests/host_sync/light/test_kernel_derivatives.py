@@ -14,8 +14,8 @@ from host_sync.light.model import ELEVATION, MONOMIALS, PLACES, TERMS, LightMode
 
 STEP = 1e-5
 COATS = {
-    "matt": COAT_START + np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.05, 0.3]),
-    "glossy": COAT_START + np.array([-0.4, -0.2, 0.5, 0.2, 1.0, -0.1, 0.0]),
+    "matt": COAT_START + np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.05, 0.3, 0.0, 0.2]),
+    "glossy": COAT_START + np.array([-0.4, -0.2, 0.5, 0.2, 1.0, -0.1, 0.0, 0.4, 0.0]),
 }
 
 
@@ -31,10 +31,11 @@ def numbers(coat: Float64Array) -> Numbers:
 
 def model(of: Numbers) -> LightModel:
     """Return the model of numbers, under a camera nearby."""
-    fall_off, roughness, gloss, width, tail, tilt_gain, beam = of.coat.tolist()
+    fall_off, roughness, gloss, width, tail, tilt_gain, beam, camera, scattering = of.coat.tolist()
     return LightModel(
         (300, 400), of.sources, of.strength, of.haze, 0.3, fall_off, roughness, gloss, float(np.exp(width)),
-        float(np.exp(tail)), tilt_gain, beam, 0.3, np.zeros((3, TERMS, PLACES)), np.ones(3), np.ones(3), 1.0,
+        float(np.exp(tail)), tilt_gain, beam, camera, scattering, np.zeros((3, TERMS, PLACES)), np.ones(3),
+        np.ones(3), 1.0,
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ EVERYTHING = replace(
     roughness=0.5,
     gloss=0.3,
     tilt_gain=0.1,
+    scattering=0.2,
     beam=0.5,
     camera=0.3,
     residual=RANDOM.normal(0.0, 0.1, MATT.residual.shape),
