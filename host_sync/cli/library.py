@@ -120,6 +120,8 @@ def list_command(
         return PARTLY if damaged else DONE
     for line in _aligned(hits):
         print_line(line)
+    if not hits:
+        print_error(f"{target.root}: no scan matches", DONE)
     for reason in damaged:
         print_error(reason, PARTLY)
     return PARTLY if damaged else DONE

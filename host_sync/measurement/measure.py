@@ -71,7 +71,7 @@ MEASURANDS: Final[Mapping[str, tuple[str, Callable[..., Measurand]]]] = {
 
 Numbers = Mapping[str, float]
 Bias = tuple[float, float]
-"""Of a number, and its standard uncertainty."""
+"""Noise bias of a number, and its standard uncertainty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

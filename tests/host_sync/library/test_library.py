@@ -208,5 +208,7 @@ def test_searching_from_the_command_line(
     assert scan.scan_id in capsys.readouterr().out
     assert main(["list", "--job", "other", "--library", str(library.root)]) == 0
     assert main(["list", "--since", "2026-02-01", "--until", "2026-01-01", "--library", str(library.root)]) == 2
-    assert capsys.readouterr().out == ""
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert f"{library.root}: no scan matches" in printed.err
     assert main(["list", "--library", str(library.root / "absent")]) == 2
